@@ -1,9 +1,10 @@
 """The backward sweep of ``sweep.py`` over paths side by side, where numbers of materials alone are wanted.
 
-All paths are swept from their n-th vertex to the one before together, n from the last one down. Where they stand is
-found out again as it was when they were traced (``place_lanes.py``); of the light that was drawn, the radiance is kept.
-A model's adjoint is a loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated lane by
-lane, and so is added what the gradient gets, for two paths may meet the same material.
+All paths are swept from their n-th vertex to the one before together, n from the last one down: a few products, after
+which the vertices have no order any more. They wait until they fill the lanes (``waiting_lanes.py``). Where they stand
+is found out again as it was when they were traced (``place_lanes.py``); of the light that was drawn, the radiance is
+kept. A model's adjoint is a loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated
+lane by lane, and so is added what the gradient gets, for two paths may meet the same material.
 
 Of diffuse materials a vertex is a few products: one path after the other is faster.
 """
@@ -17,10 +18,11 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, finite
-from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows
+from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows, word_of
 from warp_psdr.kernels.lanes.model_lanes import make_adjoints_of_each
 from warp_psdr.kernels.lanes.path_lanes import LanePaths
 from warp_psdr.kernels.lanes.sweep_sinks import SweptPath, make_chosen
+from warp_psdr.kernels.lanes.waiting_lanes import make_queue
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.structs import Camera, Scene
@@ -33,6 +35,24 @@ class RadianceCarry:
     """L_{n+1}."""
 
     radiance: wp.vec3
+
+
+@wp.struct
+class WeighedVertex:
+    """A vertex that scatters, with the weights of its two scattering values in the gradient."""
+
+    scatters: wp.int32  # 0: it does not, and is left out
+    lane: wp.int32  # of its path
+    face: wp.int32
+    u: wp.float32
+    v: wp.float32
+    d: wp.vec3  # of the ray that found it
+    lit: wp.int32  # 1: a light was found
+    light_wi: wp.vec3
+    light_w: wp.vec3
+    lobe: wp.int32
+    wo: wp.vec3
+    w: wp.vec3
 
 
 @wp.struct
@@ -69,9 +89,11 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
     places, choices, surfaces = on_places.places, on_places.choices, on_places.surfaces
     interaction = make_interaction(config)
     algebra = interaction.bsdf.algebra
-    swept, carries, weights, adjoints = stack_rows(
-        width, paths.end, SweptPath, RadianceCarry, ScatteringWeight, interaction.bsdf.record
+    swept, carries, vertices, weights, adjoints = stack_rows(
+        width, paths.end, SweptPath, RadianceCarry, WeighedVertex, ScatteringWeight, interaction.bsdf.record
     )
+    queue = make_queue(width, (vertices,))
+    scatters_row = vertices.first + word_of(WeighedVertex, "scatters")
     record = interaction.bsdf.record
     add_adjoints = make_adjoints_of_each(config, width, places, weights, adjoints)
     chosen = make_chosen(paths)
@@ -102,18 +124,47 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
         return most
 
     @wp.func
-    def revisit(n: wp.int32, rows: ROWS):
-        """The n-th rays and what they met; those of vertices that scatter."""
+    def weigh_vertices(n: wp.int32, rows: ROWS):
+        """D_n and beta_n L_{n+1} of the n-th vertices; then L_n."""
+        zero = wp.vec3(0.0, 0.0, 0.0)
         j = wp.int32(0)
         while j < width:
             vertex = paths.vertex(rows, j, n)
+            path = swept.get(rows, j)
+            carry = carries.get(rows, j)
+            there = n < path.vertices
+            on = there and vertex.face >= 0
+            r = WeighedVertex()
+            r.scatters = wp.where(on and (vertex.lobe != LOBE_NONE or vertex.light >= 0), 1, 0)
+            r.lane = j
+            r.face = vertex.face
+            r.u = vertex.u
+            r.v = vertex.v
+            r.d = vertex.d
+            r.lit = wp.where(vertex.light >= 0, 1, 0)
+            r.light_wi = vertex.light_wi
+            a_n = wp.cw_mul(path.delta, vertex.throughput)
+            r.light_w = vertex.light_weight * wp.cw_mul(a_n, paths.radiance(rows, j, n))
+            r.lobe = vertex.lobe
+            r.wo = vertex.wo
+            r.w = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)
+            vertices.put(rows, j, r)
+            radiance = vertex.direct + wp.cw_mul(vertex.beta, carry.radiance)
+            carry.radiance = where3(there, radiance, zero)
+            carries.put(rows, j, carry)
+            j += 1
+
+    @wp.func
+    def revisit(count: wp.int32, rows: ROWS):
+        """The rays that found the vertices, and what they met."""
+        j = wp.int32(0)
+        while j < width:
+            vertex = vertices.get(rows, j)
             state = states.get(rows, j)
             hit = hits.get(rows, j)
-            on = n < swept.get(rows, j).vertices and vertex.face >= 0
-            scatters = on and (vertex.lobe != LOBE_NONE or vertex.light >= 0)
-            state.alive = wp.where(scatters, 1, 0)
+            state.alive = wp.where(j < count, 1, 0)
             state.d = vertex.d
-            hit.face = wp.where(scatters, vertex.face, -1)
+            hit.face = wp.where(j < count, vertex.face, -1)
             hit.u = vertex.u
             hit.v = vertex.v
             states.put(rows, j, state)
@@ -128,87 +179,70 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
             j += 1
 
     @wp.func
-    def weigh_light(n: wp.int32, rows: ROWS):
-        """D_n."""
+    def weigh_light(rows: ROWS):
         zero = wp.vec3(0.0, 0.0, 0.0)
         j = wp.int32(0)
         while j < width:
-            vertex = paths.vertex(rows, j, n)
-            lit = choices.get(rows, j).on == 1 and vertex.light >= 0
+            vertex = vertices.get(rows, j)
+            lit = choices.get(rows, j).on == 1 and vertex.lit == 1
             wo = enter_frame(places.get(rows, j).frame, vertex.light_wi)
-            w = wp.cw_mul(wp.cw_mul(swept.get(rows, j).delta, vertex.throughput), paths.radiance(rows, j, n))
             weight = ScatteringWeight()
             weight.wo = where3(lit, wo, wp.vec3(0.0, 0.0, 1.0))
-            weight.w = where3(lit, vertex.light_weight * w, zero)
+            weight.w = where3(lit, vertex.light_w, zero)
             weights.put(rows, j, weight)
             j += 1
 
     @wp.func
-    def weigh_onward(n: wp.int32, rows: ROWS):
-        """beta_n L_{n+1}."""
+    def weigh_onward(rows: ROWS):
         zero = wp.vec3(0.0, 0.0, 0.0)
         j = wp.int32(0)
         while j < width:
-            vertex = paths.vertex(rows, j, n)
+            vertex = vertices.get(rows, j)
             smooth = choices.get(rows, j).on == 1 and vertex.lobe == LOBE_SMOOTH
             wo = enter_frame(places.get(rows, j).frame, vertex.wo)
-            w = wp.cw_mul(wp.cw_mul(swept.get(rows, j).delta, vertex.throughput), carries.get(rows, j).radiance)
             weight = ScatteringWeight()
             weight.wo = where3(smooth, wo, wp.vec3(0.0, 0.0, 1.0))
-            weight.w = where3(smooth, vertex.inv_pdf * w, zero)
+            weight.w = where3(smooth, vertex.w, zero)
             weights.put(rows, j, weight)
             j += 1
 
     @wp.func
-    def hand_on_radiance(n: wp.int32, rows: ROWS):
-        j = wp.int32(0)
-        while j < width:
-            vertex = paths.vertex(rows, j, n)
-            carry = carries.get(rows, j)
-            radiance = vertex.direct + wp.cw_mul(vertex.beta, carry.radiance)
-            carry.radiance = where3(n < swept.get(rows, j).vertices, radiance, wp.vec3(0.0, 0.0, 0.0))
-            carries.put(rows, j, carry)
-            j += 1
-
-    @wp.func
-    def accumulate_adjoints(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+    def accumulate_adjoints(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, rows: ROWS):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         for j in range(count):
-            if choices.get(rows, j).on == 1:
-                at = places.get(rows, j)
-                vertex = paths.vertex(rows, j, n)
-                path = swept.get(rows, j)
-                a_material = adjoints.get(rows, j)
-                if wp.static(has_delta):
-                    if vertex.lobe > LOBE_SMOOTH:
-                        w = wp.cw_mul(wp.cw_mul(path.delta, vertex.throughput), carries.get(rows, j).radiance)
-                        fa = scatter_vjp(at, vertex.lobe, vertex.inv_pdf * w, wp.vec3(0.0, 0.0, 0.0))
-                        a_material = algebra.add(a_material, fa.material)
-                uv = surfaces.get(rows, j).uv
-                _adjoint, lost = accumulate_material(
-                    scene, target, at.slots, vertex.face, vertex.u, vertex.v, uv, a_material, VertexAdjoint()
-                )
-                path.lost += lost
-                swept.put(rows, j, path)
+            at = places.get(rows, j)
+            vertex = vertices.get(rows, j)
+            a_material = adjoints.get(rows, j)
+            if wp.static(has_delta):
+                if vertex.lobe > LOBE_SMOOTH:
+                    fa = scatter_vjp(at, vertex.lobe, vertex.w, wp.vec3(0.0, 0.0, 0.0))
+                    a_material = algebra.add(a_material, fa.material)
+            uv = surfaces.get(rows, j).uv
+            _adjoint, lost = accumulate_material(
+                scene, target, at.slots, vertex.face, vertex.u, vertex.v, uv, a_material, VertexAdjoint()
+            )
+            path = swept.get(rows, vertex.lane)
+            path.lost += lost
+            swept.put(rows, vertex.lane, path)
 
     @wp.func
-    def sweep_vertex(scene: Scene, target: wp.array(dtype=wp.float32), count: wp.int32, n: wp.int32, rows: ROWS):
+    def sweep_waiting(scene: Scene, target: wp.array(dtype=wp.float32), front: wp.int32, count: wp.int32, rows: ROWS):
+        """``count`` of the vertices that wait, from ``front`` on."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        revisit(n, rows)
+        queue.take(rows, front)
+        revisit(count, rows)
         standing = on_places.meet(scene, rows)
-        if standing > 0:
-            models = on_places.stand(scene, standing, rows)
-            clear_adjoints(rows)
-            half = wp.int32(0)
-            while half < 2:  # one call of what is large
-                if half == 0:
-                    weigh_light(n, rows)
-                else:
-                    weigh_onward(n, rows)
-                add_adjoints(models, standing, rows)
-                half += 1
-            accumulate_adjoints(scene, target, count, n, rows)
-        hand_on_radiance(n, rows)
+        models = on_places.stand(scene, standing, rows)
+        clear_adjoints(rows)
+        half = wp.int32(0)
+        while half < 2:  # one call of what is large
+            if half == 0:
+                weigh_light(rows)
+            else:
+                weigh_onward(rows)
+            add_adjoints(models, standing, rows)
+            half += 1
+        accumulate_adjoints(scene, target, count, rows)
 
     @wp.func
     def sweep_all(
@@ -223,9 +257,16 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
     ):
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         n = begin_sweep(scene, scale, adjoint, count, always, rows)
-        while n > 0:
-            n -= 1
-            sweep_vertex(scene, target, count, n, rows)
+        waiting = wp.int32(0)
+        while n + waiting > 0:
+            if n > 0:
+                n -= 1
+                weigh_vertices(n, rows)
+                waiting = queue.append(rows, scatters_row, waiting)
+            swept_now = wp.min(waiting, width)
+            if swept_now == width or (n == 0 and swept_now > 0):
+                waiting -= swept_now
+                sweep_waiting(scene, target, waiting, swept_now, rows)
         for j in range(count):
             path = swept.get(rows, j)
             if path.vertices > 0 and (path.lost != 0.0 or not finite(carries.get(rows, j).radiance)):

@@ -77,10 +77,10 @@ class Staying:
 
 
 class Queue(NamedTuple):
-    """A queue of paths.
+    """A queue of paths, or of what else is in lanes.
 
     Attributes:
-        room: number of paths that it holds.
+        room: number of those that it holds.
         append: ``(rows, waits, length) -> int``: the lanes in which row ``waits`` is not 0, behind the first
             ``length`` that wait; how many wait then.
         take: ``(rows, front)``: into the lanes, those from ``front`` on; behind the last one comes anything.
@@ -96,7 +96,7 @@ def make_queue(width: int, records: tuple[Rows, ...]) -> Queue:
 
     Args:
         width: number of lanes.
-        records: what is kept of a path, in lanes.
+        records: what is kept of each, in lanes.
     """
     words = sum(span.end - span.first for span in records)
     # One register less, for whole ones are stored.
