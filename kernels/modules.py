@@ -8,15 +8,17 @@ the module's name in the cache.
 import warp as wp
 
 
-def wide_vectors() -> dict[str, str]:
+def wide_vectors() -> dict[str, str | int]:
     """Return the options of a module: vectors of 512 bits where the processor has them.
 
     By itself the compiler makes loops over lanes of 256 bits, lest some processors clock lower: ray queries have
     brought them there in any case. The user's flags come behind, and win. All kernels ask for it, for Warp's headers
-    are parsed once for each string of flags.
+    are parsed once for each string of flags. Launches on the CPU have one thread a block: where that is a module's
+    default too, its functions are hashed for one number of threads, not for two.
     """
     flags = wp.config.cpu_compiler_flags
-    return {"cpu_compiler_flags": f"-mprefer-vector-width=512 {'-march=native' if flags is None else flags}"}
+    flags = "-march=native" if flags is None else flags
+    return {"block_dim": 1, "cpu_compiler_flags": f"-mprefer-vector-width=512 {flags}"}
 
 
 def shared(name: str) -> str:

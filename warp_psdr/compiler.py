@@ -22,6 +22,8 @@ from warp_psdr.quiet import quiet
 
 #: Most threads that compile.
 MOST_THREADS = 8
+#: Threads of a block on CUDA, ``wp.launch``'s default.
+CUDA_BLOCK = 256
 #: What a compiled module leaves in the kernel cache.
 BINARIES = (".o", ".ptx", ".cubin")
 
@@ -91,7 +93,7 @@ def ensure(kernels: Collection[wp.Kernel], device: wp.Device | str | None) -> No
                 _await(job)
             else:
                 with quiet():
-                    wp.load_module(module, device=device)
+                    wp.load_module(module, device=device, block_dim=_block(device))
             _loaded.add(key)
         finally:
             with _lock:
@@ -124,7 +126,7 @@ def _compile(module: wp.Module, device: wp.Device) -> None:
         return  # the program ends, and nobody waits for this
     start = time.perf_counter()
     with quiet():
-        wp.load_module(module, device=device)
+        wp.load_module(module, device=device, block_dim=_block(device))
     done.append(Compiled(_name(module), time.perf_counter() - start))
 
 
@@ -139,12 +141,17 @@ def _cached(module: wp.Module, device: wp.Device) -> bool:
 
     A binary for another machine in the same place is taken for it: the thread that loads it compiles then.
     """
-    identifier = module.get_module_identifier(1 if device.is_cpu else None)
+    identifier = module.get_module_identifier(_block(device))
     try:
         files = os.listdir(os.path.join(wp.config.kernel_cache_dir or "", identifier))
     except OSError:
         return False
     return any(name.endswith(BINARIES[:1] if device.is_cpu else BINARIES[1:]) for name in files)
+
+
+def _block(device: wp.Device) -> int:
+    """Return how many threads a launch's block has: a module is compiled for each number."""
+    return 1 if device.is_cpu else CUDA_BLOCK
 
 
 def _threads() -> ThreadPoolExecutor:
