@@ -13,7 +13,6 @@ from warp_psdr.scene import scene as scenes
 from . import (
     test_cameras,
     test_crossing,
-    test_crossing_grids,
     test_curves,
     test_exact_kinds,
     test_notches,
@@ -31,7 +30,7 @@ BOUND = 1.0e-4
 GRAZING = 1.0e-3
 FACTORS = (0.5, 2.0)
 #: Files whose rows hold shapes without triangles.
-ROUND = (test_sdfgrid, test_exact_kinds, test_tubes, test_crossing, test_crossing_grids, test_rooted)
+ROUND = (test_sdfgrid, test_exact_kinds, test_tubes, test_crossing, test_rooted)
 #: (rows of a file, the row's name)
 ROWS = (
     (test_table, "smooth, scales, depth 2"),
@@ -55,7 +54,6 @@ ROWS = (
     (test_tubes, "tapered tube, lamp, radii, depth 2"),
     (test_crossing, "sunk cylinder, lamp, z, depth 2"),
     (test_crossing, "crossed, lamp, radius, depth 2"),
-    (test_crossing_grids, "sunk linear, lamp, z, depth 2"),
     (test_rooted, "rooted tubes, lamp, sinks, depth 2"),
 )
 
