@@ -72,3 +72,29 @@ def test_the_phase_curve_of_a_lambertian_sphere(phase: float) -> None:
     for tangents, exact in rows:
         mean, error = flux(scene, half, tangents, 512, options)
         assert error < 0.01 * abs(exact) and abs(mean - exact) < 4.0 * error + 1e-3 * abs(exact), (mean, error, exact)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("gap", "expected", "spp"), [(1e-2, -0.538, 256), (1e-3, -1.070, 512), (1e-4, -1.617, 1024)])
+def test_the_outline_of_a_smooth_union_next_to_where_it_parts(gap: float, expected: float, spp: int) -> None:
+    """Two balls of radius .5, blended within .1, that part at 2 (r + k ln 2): the area's derivative grows without end.
+
+    Expected are differences of the area, by quadrature in float64. The outline lies on faces of voxels, in the plane
+    of symmetry.
+    """
+    radius, width, half = 0.5, 0.1, 1.3
+    apart = 2.0 * (radius + width * np.log(2.0)) + gap
+    box = np.array([2.5, 1.4, 1.4])
+    at = [np.linspace(-0.5, 0.5, n) * side for n, side in zip((97, 55, 55), box, strict=True)]
+    z, y, x = np.meshgrid(*at[::-1], indexing="ij")
+    a, b = (np.sqrt((x + side * apart) ** 2 + y**2 + z**2) - radius for side in (0.5, -0.5))
+    values = psdr.sdf.smooth_union(a, b, width)
+    share = 1.0 / (1.0 + np.exp((a - b) / width))  # of the ball at -x
+    slope = 0.5 * (share * (x + 0.5 * apart) / (a + radius) - (1.0 - share) * (x - 0.5 * apart) / (b + radius))
+    pose = T.translate(list(-0.5 * box)).scale(list(box))
+    grid = {"grid": psdr.sdf.coefficients(values), "interpolation": "cubic", "to_world": pose, "bsdf": diffuse(0.0)}
+    scene, options = before(half, 1, sky={"type": "constant", "radiance": 1.0}, body={"type": "sdfgrid", **grid})
+    tangent = psdr.sdf.coefficients(slope)
+    mean, error = flux(scene, half, {"body.grid": tangent[..., None]}, spp, options)
+    # The image shows the sky, which the union hides.
+    assert error < 0.015 * abs(expected) and abs(-mean - expected) < 4.0 * error + 0.01 * abs(expected), (mean, error)

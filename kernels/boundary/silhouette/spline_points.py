@@ -1,7 +1,8 @@
 """Points at which segments can touch a smooth grid of signed distances: its surface, and its silhouettes, in a voxel.
 
 The items are voxels alone (``grid_points.py``): such a surface has no creases. On a line and in a slice of a voxel
-there may be several points. All of them count: one is drawn, each as likely, and stands for their number, ``roots``.
+there may be several points. All of them count: one is drawn, each as likely, and stands for their number, ``roots``. A
+point at the border of two voxels counts in both, for shares of one.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-cubic-grids``.
 """
@@ -34,6 +35,11 @@ SLOT_ROOT = 1 << 20
 FINEST = 5
 #: Newton's steps from the middle of such a square, and the last one of those that count.
 NEWTON, SETTLED = 8, 1.0e-4
+#: Half width of the bands around the borders of squares in which two squares, or voxels, share a point: a silhouette
+#: that runs along a border, as in a grid that is seen along its plane of symmetry, is found by rounding on either side.
+BAND = 1.0 / 1024.0
+#: The largest place in a voxel.
+LAST_PLACE = 1.0 - 2.0**-24
 
 
 @wp.func
@@ -239,8 +245,19 @@ def has_both_signs(c: wp.mat44) -> wp.bool:
 
 
 @wp.func
-def common_root(f: wp.mat44, p: wp.mat44, low: wp.vec2, width: wp.float32) -> tuple[wp.vec2, wp.bool]:
-    """Where two bicubic polynomials are zero in a square, and whether there is such a place."""
+def share_of(y: wp.float32, low: wp.float32, width: wp.float32) -> wp.float32:
+    """Share that an interval has in a number: 1 inside, 0 outside, and in the bands around its ends in between.
+
+    The shares of intervals side by side add up to 1.
+    """
+    a = wp.clamp(0.5 + wp.static(0.5 / BAND) * (y - low), 0.0, 1.0)
+    b = wp.clamp(0.5 + wp.static(0.5 / BAND) * (y - (low + width)), 0.0, 1.0)
+    return a - b
+
+
+@wp.func
+def common_root(f: wp.mat44, p: wp.mat44, low: wp.vec2, width: wp.float32) -> tuple[wp.vec2, wp.float32]:
+    """Where two bicubic polynomials are zero in a square, and the square's share in that place; 0: nowhere."""
     y = low[0] + 0.5 * width
     z = low[1] + 0.5 * width
     last = wp.float32(1.0)
@@ -267,9 +284,10 @@ def common_root(f: wp.mat44, p: wp.mat44, low: wp.vec2, width: wp.float32) -> tu
         y = wp.clamp(y - step_y, -0.5, 1.5)
         z = wp.clamp(z - step_z, -0.5, 1.5)
         last = wp.abs(step_y) + wp.abs(step_z)
-    inside = y >= low[0] and y < low[0] + width and z >= low[1] and z < low[1] + width
     # False for NaN, too.
-    return wp.vec2(y, z), inside and last < wp.static(SETTLED)
+    if last < wp.static(SETTLED):
+        return wp.vec2(y, z), share_of(y, low[0], width) * share_of(z, low[1], width)
+    return wp.vec2(y, z), 0.0
 
 
 @wp.func
@@ -332,8 +350,8 @@ def spline_curve_point(
             cz += ((n >> (2 * bit + 1)) & 1) << bit
             bit += 1
         corner = wp.vec2(width * wp.float32(cy), width * wp.float32(cz))
-        along_y = wp.transpose(bezier_part(corner[0], corner[0] + width))
-        along_z = bezier_part(corner[1], corner[1] + width)
+        along_y = wp.transpose(bezier_part(corner[0] - wp.static(BAND), corner[0] + width + wp.static(BAND)))
+        along_z = bezier_part(corner[1] - wp.static(BAND), corner[1] + width + wp.static(BAND))
         may_hold = has_both_signs(along_z * f * along_y)
         if may_hold:
             may_hold = has_both_signs(along_z * p * along_y)
@@ -343,14 +361,15 @@ def spline_curve_point(
             width *= 0.5
         else:
             if may_hold:
-                found, is_one = common_root(f, p, corner, width)
-                if is_one:
-                    count += 1.0
-                    if rest * count < 1.0:
+                found, share = common_root(f, p, corner, width)
+                if share > 0.0:
+                    count += share
+                    chance = share / count
+                    if rest < chance:
                         root = found
-                        rest = rest * count
+                        rest = rest / chance
                     else:
-                        rest = (rest - 1.0 / count) / (1.0 - 1.0 / count)
+                        rest = (rest - chance) / (1.0 - chance)
             n += 1
             while level > 0 and (n & 3) == 0:
                 n = n >> 2
@@ -360,7 +379,9 @@ def spline_curve_point(
                 level = -1
     if count == 0.0:
         return r
-    r.place = turn_axes_back(wp.vec3(x, root[0], root[1]), axis)
+    y = wp.clamp(root[0], 0.0, wp.static(LAST_PLACE))
+    z = wp.clamp(root[1], 0.0, wp.static(LAST_PLACE))
+    r.place = turn_axes_back(wp.vec3(x, y, z), axis)
     r = spline_touch(scene, tri, g, r)
     t = spline_direction(r, eye, distant)
     r.density = spline_curve_density(t)
