@@ -43,7 +43,7 @@ FLOAT32 = 2e-5
 #: Probability of a false alarm of all tests of one kind together.
 SIGNIFICANCE = 0.01
 SAMPLES = 100_000
-ANGLES = [0.0, 40.0, 75.0, 88.0]
+ANGLES = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0]
 #: Cosine below which half vectors in front are a small part of their chart, which takes a finer quadrature.
 GRAZING = 0.1
 #: Key, material and signed cosine's direction of all lobes that are sampled; by default a model's first material at two
