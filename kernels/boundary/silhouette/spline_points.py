@@ -245,7 +245,7 @@ def has_both_signs(c: wp.mat44) -> wp.bool:
 
 
 @wp.func
-def share_of(y: wp.float32, low: wp.float32, width: wp.float32) -> wp.float32:
+def interval_share(y: wp.float32, low: wp.float32, width: wp.float32) -> wp.float32:
     """Share that an interval has in a number: 1 inside, 0 outside, and in the bands around its ends in between.
 
     The shares of intervals side by side add up to 1.
@@ -286,7 +286,7 @@ def common_root(f: wp.mat44, p: wp.mat44, low: wp.vec2, width: wp.float32) -> tu
         last = wp.abs(step_y) + wp.abs(step_z)
     # False for NaN, too.
     if last < wp.static(SETTLED):
-        return wp.vec2(y, z), share_of(y, low[0], width) * share_of(z, low[1], width)
+        return wp.vec2(y, z), interval_share(y, low[0], width) * interval_share(z, low[1], width)
     return wp.vec2(y, z), 0.0
 
 
