@@ -25,10 +25,14 @@ SHAPES = {
 
 
 def loaded(**shape) -> psdr.Scene:
+    return scene_of(body=shape)
+
+
+def scene_of(**parts) -> psdr.Scene:
     film = {"type": "hdrfilm", "width": 4, "height": 4}
     view = T.look_at([0.5, -4, 1.0], [0.3, 0.3, 0.5], [0, 0, 1])
     sensor = {"type": "perspective", "to_world": view, "film": film}
-    return psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, "body": shape})
+    return psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}, **parts})
 
 
 @pytest.mark.parametrize("kind", SHAPES)
@@ -56,9 +60,23 @@ def test_triangles_lie_on_the_surface_and_follow_edits(kind: str) -> None:
         assert ((normals * out).sum(axis=1) >= 0.0).all()
 
 
+def test_a_grid_follows_the_instance_that_places_it() -> None:
+    group = {"type": "shapegroup", "body": SHAPES["linear"]}
+    scene = scene_of(group=group, placed={"type": "instance", "shapes": {"type": "ref", "id": "group"}})
+    shape = scene.description.shapes[0]
+    params = psdr.traverse(scene)
+    before, _faces, _texcoords = surface_of(dict(params), shape)
+    params["placed.to_world"] = POSE.matrix
+    after, _faces, _texcoords = surface_of(dict(params), shape)
+    moved = before @ POSE.matrix[:3, :3].T + POSE.matrix[:3, 3]
+    # Marching cubes of a mirrored grid have the same vertices, in the same order.
+    np.testing.assert_allclose(after, moved, atol=1e-5)
+
+
 def test_a_gradient_by_a_grid_is_how_a_value_grows_as_the_surface_moves_outwards() -> None:
     scene = loaded(**SHAPES["linear"], to_world=POSE)
-    field, normals = grid_field({}, scene.description.shapes[0], X - 2.0)
+    vertices, faces, _texcoords = surface_of({}, scene.description.shapes[0])
+    field, normals = grid_field(vertices, faces, POSE.matrix, X - 2.0)
     local = (field.vertices - POSE.matrix[:3, 3]) @ np.linalg.inv(POSE.matrix[:3, :3]).T
     np.testing.assert_allclose(field.values, 2.0 - local[:, 0], atol=1e-5)
     assert normals.shape == field.vertices.shape

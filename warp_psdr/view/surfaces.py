@@ -11,11 +11,14 @@ import numpy as np
 from warp_psdr import sdf
 from warp_psdr.plots import as_array
 from warp_psdr.scene import primitives
-from warp_psdr.scene.description import Network, SdfGrid, ShapeDescription
+from warp_psdr.scene.description import Network, ShapeDescription
 from warp_psdr.scene.network_bounds import values_of
+from warp_psdr.topology.grid_contacts import interpolated
 from warp_psdr.view.fields import Field, vertex_normals
 from warp_psdr.view.tubes import tube_mesh
 
+#: Vertices (N, 3), faces (M, 3), and texture coordinates (N, 2) or None.
+Surface = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 #: Sides of a circle of an exact shape.
 SIDES = 64
 _EXACT = {"sphere": primitives.sphere, "disk": primitives.disk, "cylinder": primitives.cylinder}
@@ -28,7 +31,8 @@ def value_now(values: Mapping[str, Any], name: str, default: Any) -> Any:
 
 def pose_now(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
     """Return a shape's ``to_world``, (4, 4), float64."""
-    return as_array(value_now(values, f"{shape.path}.to_world", shape.to_world)).reshape(4, 4).astype(np.float64)
+    name = f"{shape.instance or shape.path}.to_world"
+    return as_array(value_now(values, name, shape.to_world)).reshape(4, 4).astype(np.float64)
 
 
 def control_points(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
@@ -37,7 +41,7 @@ def control_points(values: Mapping[str, Any], shape: ShapeDescription) -> np.nda
     return as_array(value_now(values, f"{shape.path}.control_points", shape.curves.points)).reshape(-1, 4)
 
 
-def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> Surface:
     """Return vertices (N, 3), faces (M, 3) and texture coordinates (N, 2) of a shape, in the world.
 
     Surfaces of grids and networks are those of marching cubes, exact shapes and tubes have some corners around.
@@ -62,8 +66,8 @@ def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> tuple[np.n
         vertices = as_array(value_now(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
         return vertices, shape.faces, shape.texcoords
     local = as_array(value_now(values, f"{shape.source}.vertex_positions", shape.local_vertices)).reshape(-1, 3)
-    instance = as_array(value_now(values, f"{shape.instance}.to_world", shape.to_world)).reshape(4, 4)
-    return local @ instance[:3, :3].T + instance[:3, 3], shape.faces, shape.texcoords
+    pose = pose_now(values, shape)
+    return local @ pose[:3, :3].T + pose[:3, 3], shape.faces, shape.texcoords
 
 
 def grid_values(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
@@ -95,33 +99,24 @@ def _zero_set(
     return sdf.to_mesh(nodes, pose_now(values, shape), cubic, device="cpu")
 
 
-def _interpolated(nodes: np.ndarray, q: np.ndarray) -> np.ndarray:
-    """Return what values at nodes (Z, Y, X) are, tri-linearly, at points (N, 3) of [0, 1]^3."""
-    counts = np.array(nodes.shape[::-1])
-    place = np.clip(q, 0.0, 1.0) * (counts - 1)
-    cell = np.minimum(place.astype(int), counts - 2)
-    within = place - cell
-    total = np.zeros(len(q))
-    for corner in np.ndindex(2, 2, 2):
-        weights = np.where(corner, within, 1.0 - within).prod(axis=1)
-        x, y, z = (cell + corner).T
-        total += weights * nodes[z, y, x]
-    return total
-
-
-def grid_field(values: Mapping[str, Any], shape: ShapeDescription, gradient: np.ndarray) -> tuple[Field, np.ndarray]:
+def grid_field(
+    vertices: np.ndarray, faces: np.ndarray, pose: np.ndarray, gradient: np.ndarray
+) -> tuple[Field, np.ndarray]:
     """Return a gradient by the nodes of a grid, (Z, Y, X), on its surface.
 
     It is interpolated, with the opposite sign: how the value grows as the surface moves outwards there, by a length in
     which phi is measured.
 
+    Args:
+        vertices: (N, 3), of the surface, as ``surface_of`` has it.
+        faces: (M, 3).
+        pose: the grid's, (4, 4).
+        gradient: by its nodes.
+
     Returns:
         The field, and the normals (N, 3) at its vertices.
     """
-    assert isinstance(shape.grid, SdfGrid)
-    vertices, faces, _texcoords = surface_of(values, shape)
-    pose = pose_now(values, shape)
-    held = -_interpolated(gradient, (vertices - pose[:3, 3]) @ np.linalg.inv(pose[:3, :3]).T)
-    return Field(vertices, faces, held, "vertex", "growth as the surface moves outwards"), vertex_normals(
-        vertices, faces
-    )
+    q = (vertices - pose[:3, 3]) @ np.linalg.inv(pose[:3, :3]).T
+    held = -interpolated(gradient, np.clip(q, 0.0, 1.0) * (np.array(gradient.shape[::-1]) - 1))
+    field = Field(vertices, faces, held, "vertex", "growth as the surface moves outwards")
+    return field, vertex_normals(vertices, faces)

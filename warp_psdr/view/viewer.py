@@ -29,7 +29,15 @@ from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import arrangement, draw_labels
-from warp_psdr.view.surfaces import control_points, grid_field, grid_values, pose_now, surface_of, value_now
+from warp_psdr.view.surfaces import (
+    Surface,
+    control_points,
+    grid_field,
+    grid_values,
+    pose_now,
+    surface_of,
+    value_now,
+)
 from warp_psdr.view.tubes import tube_field
 from warp_psdr.view.volume_fields import volume_field, volumes_of
 from warp_psdr.view.vtk_window import open_plotter
@@ -104,10 +112,11 @@ def view(
         description.sensors[description.camera_number(camera)] if camera is not None and description.sensors else None
     )
     values = dict(params) if params is not None else {}
-    center, radius = _bounds(description, values)
+    surfaces = [surface_of(values, shape) for shape in description.shapes]
+    center, radius = _bounds(surfaces)
     import pyvista
 
-    panels = _panels(description, values, _named_arrays(params, fields), center, radius, reduce)
+    panels = _panels(description, values, surfaces, _named_arrays(params, fields), center, radius, reduce)
     cells, whole = arrangement(len(panels), window_size, labels=bool(panels[0].fields))
     # Two renderers a panel: labels fill the cell, the scene covers all of it but the margins.
     plotter = open_plotter(1, 2 * len(panels), whole, off_screen=screenshot is not None)
@@ -125,7 +134,7 @@ def view(
         plotter.renderer.viewport = cell.viewport(whole, margins=False)
         # One white light beside the camera: the usual warm and cool ones would tint what means zero.
         plotter.add_light(pyvista.Light(light_type="camera light", position=(-0.4, 0.6, 1.0)), only_active=True)
-        _draw_shapes(plotter, description, values, panel, show_emitters)
+        _draw_shapes(plotter, description, values, surfaces, panel, show_emitters)
         if show_emitters:
             _draw_light_markers(plotter, description, values, center, radius)
         if panel.fields:
@@ -186,6 +195,7 @@ def _surface_textures(shape: ShapeDescription) -> Iterator[TextureDescription]:
 def _panels(
     description: SceneDescription,
     values: Mapping[str, Any],
+    surfaces: list[Surface],
     arrays: dict[str, np.ndarray],
     center: np.ndarray,
     radius: float,
@@ -208,8 +218,7 @@ def _panels(
         panel.fields.append((field, vectors, normals))
         panel.shapes.add(owner)
 
-    for shape in description.shapes:
-        vertices, faces, texcoords = surface_of(values, shape)
+    for shape, (vertices, faces, texcoords) in zip(description.shapes, surfaces, strict=True):
         for name in (f"{shape.path}.vertex_positions", f"{shape.path}.vertex_normals"):
             drawable.add(name)
             if name in arrays:
@@ -229,7 +238,7 @@ def _panels(
             drawable.add(name)
             if name in arrays:
                 array = _reshaped(name, arrays[name], grid_values(values, shape).shape)
-                field, normals = grid_field(values, shape, array)
+                field, normals = grid_field(vertices, faces, pose_now(values, shape), array)
                 add(name, shape.path, field, None, normals)
         name = f"{shape.path}.vertex_texcoords"
         if shape.texcoords is not None:
@@ -302,10 +311,9 @@ def _reshaped(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarra
     return array.reshape(shape)
 
 
-def _bounds(description: SceneDescription, values: Mapping[str, Any]) -> tuple[np.ndarray, float]:
+def _bounds(surfaces: list[Surface]) -> tuple[np.ndarray, float]:
     """Return centre and radius of a sphere around all shapes."""
-    found = [surface_of(values, s)[0] for s in description.shapes]
-    corners = [bound for vertices in found if len(vertices) for bound in (vertices.min(0), vertices.max(0))]
+    corners = [bound for vertices, *_ in surfaces if len(vertices) for bound in (vertices.min(0), vertices.max(0))]
     if not corners:
         return np.zeros(3), 1.0
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
@@ -330,13 +338,17 @@ def _texture(rgb: np.ndarray, wrap: str) -> Any:
 
 
 def _draw_shapes(
-    plotter: Any, description: SceneDescription, values: Mapping[str, Any], panel: _Panel, show_emitters: bool
+    plotter: Any,
+    description: SceneDescription,
+    values: Mapping[str, Any],
+    surfaces: list[Surface],
+    panel: _Panel,
+    show_emitters: bool,
 ) -> None:
     """Draw the shapes that carry no field: plain beside fields, in their materials' colours otherwise."""
-    for shape in description.shapes:
+    for shape, (vertices, faces, texcoords) in zip(description.shapes, surfaces, strict=True):
         if shape.path in panel.shapes or (shape.emitter is not None and not show_emitters):
             continue
-        vertices, faces, texcoords = surface_of(values, shape)
         if not len(faces):
             continue
         mesh = _poly_data(vertices, faces)
