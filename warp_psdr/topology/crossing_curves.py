@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.topology.crossing_fields import HALVINGS, Field, across_axis, exact_field, grid_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance
+from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance, rim_points
 from warp_psdr.topology.joined_rims import joined_rims
 
 if TYPE_CHECKING:
@@ -180,10 +180,8 @@ def runs_along(field: Field, kind: str, ends: set[int], corners: np.ndarray) -> 
     if kind == "sphere" or not len(corners):
         return False
     local = (corners - field.origin) @ np.linalg.inv(field.linear).T
-    phi = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     for end in ends:
-        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, float(end))], axis=1)
-        touches = np.array([(least_distance(local - p) < TOUCHING).any() for p in rim])
+        touches = np.array([(least_distance(local - p) < TOUCHING).any() for p in rim_points(end, RIM_POINTS)])
         if (touches & np.roll(touches, 1)).any():
             return True
     # Sides, cut off at a box around the shape.

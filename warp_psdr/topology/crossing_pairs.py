@@ -13,7 +13,7 @@ import numpy as np
 from warp_psdr.scene.primitives import sphere
 from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, cut_grid
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, runs_through
+from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, rim_points, runs_through
 from warp_psdr.topology.grid_silhouettes import grid_shapes
 from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.tube_crossings import cut_tubes
@@ -146,10 +146,8 @@ def _rim_runs_along(scene: Scene, i: int, j: int) -> bool:
         return False
     ends = {0} if kinds[0] == "disk" else {0, 1} - joined_rims(scene).standing(i, j)
     (linear, origin), (other, place) = pose(scene, i), pose(scene, j)
-    phi = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     for end in ends:
-        rim = np.stack([np.cos(phi), np.sin(phi), np.full(RIM_POINTS, float(end))], axis=1)
-        q = (rim @ linear.T + origin - place) @ np.linalg.inv(other).T
+        q = (rim_points(end, RIM_POINTS) @ linear.T + origin - place) @ np.linalg.inv(other).T
         if kinds[1] == "sphere":
             on = np.abs(np.linalg.norm(q, axis=1) - 1.0) < TOUCHING
         elif kinds[1] == "disk":

@@ -30,6 +30,12 @@ def pose(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
     return matrix[:3, :3], matrix[:3, 3]
 
 
+def rim_points(end: float, count: int, widened: float = 1.0) -> np.ndarray:
+    """Return points (count, 3) of a rim of a disk or a cylinder, in the shape's own coordinates."""
+    phi = 2.0 * np.pi * np.arange(count) / count
+    return np.stack([widened * np.cos(phi), widened * np.sin(phi), np.full(count, float(end))], axis=1)
+
+
 def crossed_faces(scene: Scene, shape: int, shapes: frozenset[int] | None) -> np.ndarray:
     """Return the numbers of the triangles that run through an exact shape, one of both among ``shapes`` (None: any).
 

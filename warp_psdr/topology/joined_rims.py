@@ -21,7 +21,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import OUTLINES, OutlineItem
 from warp_psdr.kernels.boundary.silhouette.rim import RIMS
 from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER
 from warp_psdr.scene.exact import KINDS
-from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose
+from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -67,12 +67,7 @@ class JoinedRims:
 def rim(scene: Scene, shape: int, end: int = 0, widened: float = 1.0) -> np.ndarray:
     """Return points (N, 3), in the world, of a rim of a disk or a cylinder."""
     linear, origin = pose(scene, shape)
-    return _circle(end, widened) @ linear.T + origin
-
-
-def _circle(end: int, widened: float = 1.0) -> np.ndarray:
-    phi = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
-    return np.stack([widened * np.cos(phi), widened * np.sin(phi), np.full(RIM_POINTS, float(end))], axis=1)
+    return rim_points(end, RIM_POINTS, widened) @ linear.T + origin
 
 
 def joined_rims(scene: Scene) -> JoinedRims:
