@@ -179,8 +179,7 @@ def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
 def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
     """Return the light paths of a pass."""
     scale = 1.0 / (float(spp) * camera.crop_width * camera.crop_height)
-    kept = plan.kept if plan.light is None or plan.light.kept is None else plan.light.kept
-    depth = depth_of(replace(plan, kept=kept))
+    depth = depth_of(plan, None if plan.light is None else plan.light.kept)
     return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth, plan.rr_depth, scale=scale)
 
 

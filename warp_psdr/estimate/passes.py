@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from warp_psdr.estimate.gradient_sums import GradientSums
     from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan.plan import Plan
+    from warp_psdr.plan.replay import Kept
     from warp_psdr.scene.scene import Scene
 
 #: Random-number streams: the primal image, the interior and the boundary term are independent of each other.
@@ -249,9 +250,10 @@ def _mask(scene: Scene, shapes: frozenset[int] | None) -> wp.array:
     return wp.array(mask, dtype=wp.int32, device=scene.device)
 
 
-def depth_of(plan: Plan) -> int:
-    """Depth limit of a differential pass: its records have to hold the path."""
-    longest = plan.kept.longest if plan.kept is not None else 0
+def depth_of(plan: Plan, own: Kept | None = None) -> int:
+    """Depth limit of a differential pass: its records, ``own`` or the plan's, have to hold the path."""
+    kept = own or plan.kept
+    longest = kept.longest if kept is not None else 0
     return longest if longest and plan.max_depth < 0 else plan.max_depth
 
 
