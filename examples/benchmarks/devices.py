@@ -9,14 +9,13 @@ mean by colours, materials, densities, and the geometry of one object, boundary 
 """
 
 import tempfile
-import time
 from pathlib import Path
 
 import implicit_scenes
 import media
 import numpy as np
 import warp as wp
-from common import Report, arguments, psdr
+from common import Report, arguments, blocks, in_turns, median, psdr, ratio
 from material_scenes import MATERIALS, write_maps
 
 from scenes import CASES, write_data
@@ -58,20 +57,17 @@ class On:
     """A scene on one device."""
 
     def __init__(self, case: str, file: Path, depth: int, resolution: int, device: str):
-        self.device = wp.get_device(device)
         self.scene = psdr.load_file(file, resolution=resolution, device=device)
         self.params = psdr.traverse(self.scene)
         self.params.requires_grad(*requested(case, list(self.params)))
         self._options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": SPP}
         mean = 1.0 / (3.0 * resolution * resolution)
         self._adjoint = wp.full((resolution, resolution), wp.vec3(mean, mean, mean), dtype=wp.vec3, device=device)
-        self.image(0), self.gradient(0)  # kernels are compiled
 
     def image(self, seed: int) -> np.ndarray:
         """Return block means of the image."""
         image = psdr.render(self.scene, seed=seed, **self._options).numpy()
-        size = len(image) // BLOCKS
-        return image.reshape(BLOCKS, size, BLOCKS, size, 3).mean(axis=(1, 3)).reshape(-1).astype(np.float64)
+        return blocks(image[None].astype(np.float64), BLOCKS)[0]
 
     def gradient(self, seed: int) -> dict[str, np.ndarray]:
         """Return the gradient, parameter by parameter."""
@@ -85,18 +81,6 @@ def distance(a, b) -> float:
     if isinstance(a, dict):
         return max(distance(a[n], b[n]) for n in a)
     return float(np.linalg.norm(a - b) / max(np.linalg.norm(a), 1e-30))
-
-
-def seconds(function, device: wp.Device, repeat: int) -> float:
-    """Return the median time of a pass."""
-    times = []
-    for k in range(repeat):
-        wp.synchronize_device(device)
-        start = time.perf_counter()
-        function(k + 1)
-        wp.synchronize_device(device)
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
 
 
 def main() -> None:
@@ -119,9 +103,10 @@ def main() -> None:
             for what in ("image", "gradient"):
                 mine, theirs = getattr(a, what), getattr(b, what)
                 difference, noise = distance(mine(1), theirs(1)), distance(mine(1), mine(2))
-                cpu, device = seconds(mine, a.device, repeat), seconds(theirs, b.device, repeat)
-                row = {"scene": case, "pass": what, "device": name, "CPU, ms": 1e3 * cpu, "device, ms": 1e3 * device}
-                row |= {"ratio": cpu / device, "difference": difference, "noise": noise}
+                times = in_turns({"cpu": mine, "device": theirs}, repeat)  # what returns arrays has waited for them
+                row = {"scene": case, "pass": what, "device": name}
+                row |= {"CPU, ms": 1e3 * median(times, "cpu"), "device, ms": 1e3 * median(times, "device")}
+                row |= {"ratio": ratio(times, "cpu", "device"), "difference": difference, "noise": noise}
                 report.table(f"{resolution}^2 pixels, {SPP} samples, medians of {repeat}", [row])
 
 
