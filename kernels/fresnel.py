@@ -96,6 +96,24 @@ def coat_reflectance(c: wp.float32, eta: wp.float32) -> wp.float32:
 
 
 @wp.func
+def coat_reflectance_by_index(c: wp.float32, eta: wp.float32) -> wp.float32:
+    """The derivative of ``coat_reflectance`` by ``eta``; 0 under total internal reflection.
+
+    With T_s = 4 c g / (c + g)^2, T_p = 4 c g eta^2 / (eta^2 c + g)^2 and dg/deta = eta / g,
+
+        dF/deta = 2 c eta / g ((g - c) / (c + g)^3 + (2 g^2 - eta^2) (eta^2 c - g) / (eta^2 c + g)^3).
+    """
+    g = refracted_cosine(c, eta)
+    rate = wp.float32(0.0)
+    if g > 0.0:
+        eta2 = eta * eta
+        s = c + g
+        p = eta2 * c + g
+        rate = 2.0 * c * eta / g * ((g - c) / (s * s * s) + (2.0 * g * g - eta2) * (eta2 * c - g) / (p * p * p))
+    return rate
+
+
+@wp.func
 def coat_transmittance(c: wp.float32, eta: wp.float32) -> wp.float32:
     """Transmittance of a smooth interface at the cosine ``c``: 1 - F without the difference, which cancels."""
     g = refracted_cosine(c, eta)

@@ -10,13 +10,15 @@ T and R depend on alpha and eta. The host tabulates them with their derivatives 
 last update (``warp_psdr/scene/rough_transmittance.py``); here they are T + (alpha - alpha_0) dT/dalpha + (eta - eta_0)
 dT/deta, whose differences are 0 and whose derivatives are those of the table.
 
-Derivation: ``docs/theory/materials.md#rough-plastic``.
+Derivation: ``docs/theory/materials.md#rough-plastic``; by the index, whose F and T weigh the two lobes,
+``docs/theory/interior.md#lobes-of-one-sign``.
 """
 
 import functools
 
 import warp as wp
 
+from warp_psdr.kernels.bsdf.decomposition import SignedLobes
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA, MIN_COSINE, at_least_min, make_reflection, or_upright
 from warp_psdr.kernels.bsdf.model import (
@@ -34,7 +36,7 @@ from warp_psdr.kernels.bsdf.model import (
 from warp_psdr.kernels.bsdf.plastic import share_of_coat
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
-from warp_psdr.kernels.fresnel import coat_reflectance
+from warp_psdr.kernels.fresnel import coat_reflectance, coat_reflectance_by_index
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 
@@ -67,6 +69,16 @@ def rough_through(table: wp.uint64, c: wp.float32, alpha: wp.float32, ior: wp.fl
     low = entry_near(table, HEADER + 3 * i, alpha, ior)
     high = entry_near(table, HEADER + 3 * i + 3, alpha, ior)
     return (1.0 - f) * low + f * high
+
+
+@wp.func
+def rough_through_by_index(table: wp.uint64, c: wp.float32) -> wp.float32:
+    """dT/deta at the cosine ``c``; linear between those of the table, as T is."""
+    x = c * wp.static(float(RESOLUTION - 1))
+    i = wp.clamp(wp.int32(x), 0, wp.static(RESOLUTION - 2))
+    f = x - wp.float32(i)
+    first = HEADER + 3 * i + 2
+    return (1.0 - f) * table_entry(table, first) + f * table_entry(table, first + 3)
 
 
 @functools.cache
@@ -129,8 +141,53 @@ def make_rough_plastic(record: type, variant: str) -> Functions:
         wide = wp.max(mat.alpha, WIDE_SLOPE)
         return wp.vec2(wide, wide)
 
+    @wp.func
+    def signed_plastic_draw(mat: record, wi: wp.vec3, number: wp.int32, second: wp.bool, u: wp.vec2) -> wp.vec3:
+        """A direction of the coat (first) or of the base (second)."""
+        alpha = at_least_min(mat.alpha)
+        wo = square_to_cosine_hemisphere(u)
+        if not second:
+            wo = reflection.sample(or_upright(wi[2] > MIN_COSINE, wi), alpha, alpha, u)
+        return wo
+
+    @wp.func
+    def signed_plastic_weight(mat: record, wi: wp.vec3, wo: wp.vec3, number: wp.int32, second: wp.bool) -> wp.vec3:
+        """That lobe's derivative by the index over its density."""
+        table = mat.transmittance
+        ior = mat.ior
+        rho = mat.diffuse_reflectance
+        weight = wp.vec3(0.0, 0.0, 0.0)
+        if second:
+            inside = entry_near(table, 3, mat.alpha, ior)
+            inside_dot = table_entry(table, 5)
+            t_i = rough_through(table, wi[2], mat.alpha, ior)
+            t_o = rough_through(table, wo[2], mat.alpha, ior)
+            through = t_i * t_o
+            through_dot = rough_through_by_index(table, wi[2]) * t_o + t_i * rough_through_by_index(table, wo[2])
+            through_dot -= 2.0 * through / ior
+            for channel in range(3):
+                # 1 / (1 - again R), and its derivative.
+                again = wp.float32(1.0)
+                if wp.static(nonlinear):
+                    again = rho[channel]
+                kept = 1.0 / (1.0 - again * inside)
+                weight[channel] = (
+                    rho[channel] * kept * (through_dot + through * kept * again * inside_dot) / (ior * ior)
+                )
+        else:
+            alpha = at_least_min(mat.alpha)
+            pdf = reflection.pdf(wi, wo, alpha, alpha)
+            if pdf > 0.0:
+                h = wi + wo
+                fresnel_dot = coat_reflectance_by_index(0.5 * wp.sqrt(wp.dot(h, h)), ior)
+                weight = (fresnel_dot * reflection.value(wi, wo, alpha, alpha) / pdf) * mat.specular_reflectance
+        return weight
+
     rough_plastic_sample = make_reflected_sample(record, draw, rough_plastic_eval, rough_plastic_pdf)
-    return Functions(rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes, branches=False)
+    signed = SignedLobes(signed_plastic_draw, signed_plastic_weight)
+    return Functions(
+        rough_plastic_sample, rough_plastic_eval, rough_plastic_pdf, slopes=slopes, signed=signed, branches=False
+    )
 
 
 ROUGH_PLASTIC = Model(
@@ -148,4 +205,5 @@ ROUGH_PLASTIC = Model(
     (LOBE_SMOOTH,),
     make_rough_plastic,
     glossy=True,
+    signed=("ior",),
 )

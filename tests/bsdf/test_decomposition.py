@@ -10,6 +10,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.abc import BY_B, BY_C, abc_lobe_draw
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, MOST, make_decomposition, quartic
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
+from warp_psdr.scene.tables import MAKERS
 
 #: Largest statistic of a chi-square test that right samples exceed once in 10^4 tries.
 CHANCE = 1e-4
@@ -212,6 +213,8 @@ SIGNED = [
     ("abc", {"A": 1.0, "B": 4.0, "C": 8.0}, "C", 1.2),
     ("orennayar", {"sigma": 0.4}, "sigma", 0.5),
     ("orennayar", {"sigma": 1.2}, "sigma", 1.4),
+    ("roughplastic (ggx)", {"alpha": 0.4, "ior": 1.5}, "ior", 0.6),
+    ("roughplastic (beckmann nonlinear)", {"alpha": 0.3, "ior": 1.3}, "ior", 1.2),
 ]
 
 
@@ -224,6 +227,7 @@ def make_signed_drawing(plugin: str, name: str):
     @wp.kernel(module="unique", enable_backward=False)
     def signed_drawing(
         values: wp.vec3,
+        table: wp.uint64,
         wi: wp.vec3,
         u: wp.array(dtype=wp.vec2),
         at: wp.array(dtype=wp.vec3),
@@ -240,6 +244,12 @@ def make_signed_drawing(plugin: str, name: str):
             mat.specular_reflectance = wp.vec3(1.0, 1.0, 1.0)
             mat.eta = wp.vec3(0.2, 0.9, 1.1)
             mat.k = wp.vec3(4.0, 2.0, 2.0)
+        elif wp.static(name == "ior"):
+            mat.alpha = values[0]
+            mat.ior = values[1]
+            mat.transmittance = table
+            mat.specular_reflectance = wp.vec3(0.9, 0.9, 0.9)
+            mat.diffuse_reflectance = wp.vec3(0.7, 0.7, 0.7)
         else:
             mat.sigma = values[0]
             mat.reflectance = wp.vec3(0.7, 0.7, 0.7)
@@ -255,6 +265,8 @@ def make_signed_drawing(plugin: str, name: str):
             derivative_out[i] = a.C
         if wp.static(name == "sigma"):
             derivative_out[i] = a.sigma
+        if wp.static(name == "ior"):
+            derivative_out[i] = a.ior
 
     return signed_drawing
 
@@ -273,8 +285,13 @@ def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
     at = np.tile(wi.astype(np.float32), (len(u), 1))
     at[:count] = wo
     numbers = wp.vec3(*[*values.values(), 0.0, 0.0][:3])
+    tables = [
+        wp.array(MAKERS[t.maker](t.variant, *(values[of] for of in t.of)), dtype=wp.float32, device="cpu")
+        for t in models_of((plugin,))[0].tables(plugin.partition("(")[2].rstrip(")"))
+    ]
     inputs = [
         numbers,
+        wp.uint64(tables[0].ptr if tables else 0),
         wp.vec3(*wi),
         wp.array(u, dtype=wp.vec2, device="cpu"),
         wp.array(at, dtype=wp.vec3, device="cpu"),
@@ -290,6 +307,16 @@ def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
         assert (derivative * np.sign(values[name]) * (1.0 if name == "A" else -1.0) >= 0.0).all()
         densities = [derivative / weights.sum(1)]
         found = [drawn.reshape(-1, 3)]
+    elif name == "ior":
+        # The coat reflects more, and lets less pass to the base. Far from its middle its density underflows.
+        cosine = np.cos(theta).reshape(-1) / np.pi
+        near = weights[:, 0] > 0.0
+        densities = [
+            np.divide(derivative - weights[:, 1] * cosine, weights[:, 0], out=0.0 * cosine, where=near),
+            cosine,
+        ]
+        found = [drawn[:, 0], drawn[:, 1]]
+        assert (weights[:, 0] >= 0.0).all() and near.mean() > 0.5 and (weights[:, 1] < 0.0).all()
     else:
         cosine = np.cos(theta).reshape(-1) / np.pi
         densities = [cosine, (derivative - weights[:, 0] * cosine) / weights[:, 1]]

@@ -19,12 +19,14 @@ from tests.interior.test_resampled import (
 )
 
 GLOSSY = ["metal", "beckmann metal", "brushed metal", "phong", "orennayar"]
-#: Scene -> weights of mixtures: two smooth models, a mirror and paint, and lobes of one model.
+#: Scene -> weights of mixtures: two smooth models, a mirror and paint, lobes of one model, and the index of refraction,
+#: by which a coat and the base below it share the light.
 MIXTURES = {
     "blend": ["ball.bsdf.weight.value"],
     "half mirror": ["ball.bsdf.weight.value"],
     "mask": ["ball.bsdf.opacity.value"],
     "principled": ["ball.bsdf.metallic.value", "ball.bsdf.clearcoat.value"],
+    "plastic": ["ball.bsdf.eta"],
 }
 
 
@@ -72,7 +74,7 @@ def test_mean_by_weights_is_that_of_replay(name):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["blend", "mask", "principled"])
+@pytest.mark.parametrize("name", ["blend", "mask", "principled", "plastic"])
 def test_forward_mode_by_weights_sums_to_reverse_mode(name):
     """One weight has the samples of reverse mode; several at once have the sum of their derivatives."""
     grey = np.random.default_rng(4).normal(size=(SIZE, SIZE, 1)).astype(np.float32) * np.ones(3, np.float32)
@@ -157,6 +159,7 @@ def test_equal_bits_for_any_number_of_workers():
         ("abc", "ball.bsdf.B.value", 4.0),
         ("orennayar", "ball.bsdf.sigma.value", 0.04),
         ("blend", "ball.bsdf.weight.value", 0.05),
+        ("plastic", "ball.bsdf.eta", 0.02),
     ],
 )
 def test_slope_of_finite_differences(name, parameter, step):

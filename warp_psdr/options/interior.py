@@ -202,11 +202,12 @@ class Decomposed(Method):
     """Derivatives of one sign each [BXB*24] (``kernels/interior/decomposed.py``, ``kernels/interior/mixtures.py``).
 
     Branched are the roughnesses of `roughconductor`, of either distribution, and the exponents of `ashikhminshirley`,
-    isotropic or not, `A`, `B` and `C` of `abc` and `sigma` of `orennayar`, by the lobes of their derivative; and
-    weights of mixtures by what they mix: `weight` of `blendbsdf`, and `metallic`, `spec_trans`, `clearcoat`, `sheen`,
-    `sheen_tint`, `flatness`, `spec_tint` and `diff_trans` of `principled` and `principledthin`, nested or not, and
-    `opacity` of `mask`. In scenes with participating media it is `g` of `hg`. All else that is requested is left to
-    ``Replay()``; it refuses other shapes of lobes, which ``Resampled()`` differentiates by.
+    isotropic or not, `A`, `B` and `C` of `abc`, `sigma` of `orennayar` and `eta` of `roughplastic`, which weighs its
+    coat against its base, by the lobes of their derivative; and weights of mixtures by what they mix: `weight` of
+    `blendbsdf`, and `metallic`, `spec_trans`, `clearcoat`, `sheen`, `sheen_tint`, `flatness`, `spec_tint` and
+    `diff_trans` of `principled` and `principledthin`, nested or not, and `opacity` of `mask`. In scenes with
+    participating media it is `g` of `hg`. All else that is requested is left to ``Replay()``; it refuses other shapes
+    of lobes, which ``Resampled()`` differentiates by.
     """
 
 

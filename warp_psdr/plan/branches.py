@@ -77,7 +77,8 @@ def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
         models = sorted({repr(m.plugin) for m, names in left if names & {value.name for value in m.values}})
         return (
             "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor', the exponents of "
-            "'ashikhminshirley', A, B and C of 'abc', sigma of 'orennayar' and weights of mixtures, and "
+            "'ashikhminshirley', A, B and C of 'abc', sigma of 'orennayar', the index of 'roughplastic' and weights of "
+            "mixtures, and "
             f"not those of {', '.join(unsplit)} of {', '.join(models)}. Use interior.Resampled()"
         )
     return refused_by_resampled(config, wanted).replace("Resampled()", "Decomposed()")
