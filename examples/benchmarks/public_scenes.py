@@ -26,7 +26,7 @@ SEED, WEIGHT_SEED = 300, 900
 NO_ROULETTE = 1 << 20
 AXES = "xyz"
 #: What a row finds: of the difference of twice the step, its ratio to that of the step.
-FOUND = ("slope", "standard error", "difference of twice the step", "batches", "refused")
+FOUND = ("slope", "standard error", "difference of twice the step", "batches")
 
 
 @dataclass(frozen=True)
@@ -284,7 +284,7 @@ class Comparison:
             sums.append((self._derivative(weights.astype(np.float32), seed), fine))
         derivative, fine = np.mean(sums, axis=0)
         twice = float(np.sum(coarse) / np.sum([fine for _, fine in sums[:FEWEST]]))
-        return dict(zip(FOUND, (float(derivative / fine), _error(sums), twice, len(sums), ""), strict=True))
+        return dict(zip(FOUND, (float(derivative / fine), _error(sums), twice, len(sums)), strict=True))
 
 
 def _error(sums: list[tuple[float, float]]) -> float:
@@ -306,6 +306,7 @@ def main() -> None:
     sys.modules["warp_psdr.render"].STREAM_PRIMAL = STREAM_INTERIOR  # what images and derivatives share cancels
     report = Report("public_scenes.py", options.output)
     title = f"Derivatives in public scene files, {size} pixels across"
+    sources, refused = [], []
     for label, case in CASES.items():
         if options.only and label not in options.only:
             continue
@@ -313,16 +314,19 @@ def main() -> None:
         methods = {"interior": psdr.interior.Replay(), "boundary": psdr.boundary.PathSpace()}
         paths = {"max_depth": case.depth, "rr_depth": NO_ROULETTE, "hide_emitters": case.hidden}
         integrator = psdr.PathIntegrator(**paths, **methods)
-        about = {"scene": label, "repository": case.file.partition("/")[0].replace("+", "/")}
+        repository, _, file = case.file.partition("/")
+        sources.append({"scene": label, "repository": repository.replace("+", "/"), "file": file})
         rows = []
         for row in case.rows:
             names = [r.name for r in case.rows if r.moves == row.moves]
+            about = {"scene": label, "parameter": row.name, "change": row.how}
             try:
-                found = Comparison(scene, row, names, integrator, spp).run(options.limit)
+                rows.append(about | Comparison(scene, row, names, integrator, spp).run(options.limit))
             except ValueError as refusal:
-                found = dict.fromkeys(FOUND) | {"refused": str(refusal)}
-            rows.append(about | {"parameter": row.name, "change": row.how} | found)
+                refused.append(about | {"reason": str(refusal)})
         report.table(title, rows)
+    report.table("Derivatives in public scene files that are refused", refused)
+    report.table("Public scene files", sources)
 
 
 if __name__ == "__main__":
