@@ -2,8 +2,10 @@
 
 import pytest
 
-from tests.scene.bad_input_cases import CASES
+from tests.scene import bad_input_cases, bad_material_cases
 from warp_psdr.scene import describe_dict, describe_file, describe_string
+
+CASES = [*bad_input_cases.CASES, *bad_material_cases.CASES]
 
 
 def load(case, folder):

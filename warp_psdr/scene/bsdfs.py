@@ -120,8 +120,8 @@ def _build(props: Properties) -> BsdfDescription:
 def _serving(props: Properties) -> Model:
     """Return the model that serves the plugin, see ``Model.when``."""
     served = [model for model in MODELS if model.plugin == props.type]
-    for model in served:
-        given = props.node.get(model.when) if model.when else None
+    for model in [model for model in served if model.when]:
+        given = props.node.get(model.when)
         if given is not None and not (np.isscalar(given) and given == 0):
             return model
         props.take(model.when)
