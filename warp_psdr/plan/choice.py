@@ -182,7 +182,10 @@ def describe(
         }
         | TURNING,
     }
-    reasons = {"shapes": "shape of a lobe, or weight of a mixture", "normals": "turns normals of glossy surfaces"}
+    reasons = {
+        "shapes": "shape of a lobe, or weight of a mixture",
+        "normals": "turns normals of glossy surfaces: pairs or replay, never resampled",
+    }
     lines, left = [], list(names)
     for kind in kinds:
         own = [name for name in left if scene.parameters[name].uses & owns[kind]]

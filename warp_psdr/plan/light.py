@@ -112,17 +112,24 @@ def passes(config: PathConfig, wanted: GradientRequest | None, method: interior.
 
 def refused_with_light_paths(name: str, config: PathConfig, wanted: GradientRequest) -> str:
     """Return why a method with light paths cannot compute derivatives; empty: it can."""
+    with_area = (
+        "; of what mirrors and glass turn that sees only the light of lights with an area: in place of a light of no "
+        "area take a small sphere, whose caustics interior.Replay() with boundary.PathSpace() differentiates, edges "
+        "included"
+        if has_caustics(config)
+        else ""
+    )
     if wanted.geometry:
         return (
             f"{name} differentiates what moves no vertices of its paths: materials, textures, "
             "radiances, intensities and poses of lights. What moves shapes, normals, texture coordinates or the "
-            "camera, or turns rays, as the index of refraction of glass does, takes interior.Replay()"
+            f"camera, or turns rays, as the index of refraction of glass does, takes interior.Replay(){with_area}"
         )
     if "pose" in wanted.lights and DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs):
         return (
             f"{name} cannot move a point, spot, projector or directional light in a scene with "
             "mirrors, glass or masks, behind which its rays would move too; request its intensity, or use "
-            "interior.Replay()"
+            f"interior.Replay(){with_area}"
         )
     return ""
 
