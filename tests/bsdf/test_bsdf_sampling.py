@@ -46,15 +46,15 @@ SAMPLES = 100_000
 ANGLES = [0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 75.0, 80.0, 85.0, 88.0]
 #: Cosine below which half vectors in front are a small part of their chart, which takes a finer quadrature.
 GRAZING = 0.1
-#: Key, material and signed cosine's direction of all lobes that are sampled; by default a model's first material at two
-#: angles, from both sides, and the others at one, from the front.
+#: Key, material and signed cosine's direction of all lobes that are sampled; by default at one angle, from both
+#: sides a model's first material, from the front the others.
 LOBES = [
     pytest.param(
         key,
         mat,
         direction(angle) * side,
         id=f"{key}-{i}-{angle:g}{'' if side[2] > 0.0 else '-below'}",
-        marks=() if (angle == 75.0 and (i == 0 or side[2] > 0.0)) or (i == 0 and angle == 40.0) else pytest.mark.slow,
+        marks=() if angle == 75.0 and (i == 0 or side[2] > 0.0) else pytest.mark.slow,
     )
     for key in ALL_MODELS
     for i, mat in enumerate(EXAMPLES[key].materials)
@@ -310,11 +310,11 @@ def test_no_energy_is_made_and_none_is_lost_in_a_white_furnace(bsdf, key: str, m
         np.testing.assert_allclose(probability, 1.0, atol=slack + (1e-3 if lobes_of(key) else 0.0))
 
 
-@pytest.mark.parametrize("corner", [0.0, np.float32(0.99999994)])
 @each_model
-def test_samples_are_finite_at_the_ends_of_the_unit_square(bsdf: Launcher, key: str, corner: float) -> None:
+def test_samples_are_finite_at_the_ends_of_the_unit_square(bsdf: Launcher, key: str) -> None:
     other = np.linspace(0.0, 0.99999994, 17, dtype=np.float32)
-    uvw = np.concatenate([[(0.5, corner, x), (0.5, x, corner), (corner, x, x)] for x in other])
+    ends = (0.0, np.float32(0.99999994))
+    uvw = np.concatenate([[(0.5, c, x), (0.5, x, c), (c, x, x)] for c in ends for x in other])
     for mat in (*EXAMPLES[key].materials, *EXAMPLES[key].extremes, *corners(key)):
         for angle in (0.0, 30.0, 89.9999):
             s = bsdf.sample(key, mat, direction(angle), uvw)
