@@ -21,7 +21,7 @@ ROUNDING = 1e-5
 
 
 def wall_and_sky(torch, wall) -> dict:
-    """Return what a scene takes of both, which are differentiated together: one kernel for all tests."""
+    """Return what a scene takes of both, which are differentiated together, as in ``test_render_arguments.py``."""
     return {WALL: wall, SKY: torch.tensor([1.0, 1.5, 2.0], requires_grad=True)}
 
 
@@ -31,8 +31,15 @@ def scene():
     film = {"type": "hdrfilm", "width": 8, "height": 6, "rfilter": {"type": "box"}}
     bsdf = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.2, 0.5, 0.8]}}
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.5, 2.0]}}
+    sampler = {"type": "independent"}
     return psdr.load_dict(
-        {"type": "scene", "camera": {**camera, "film": film}, "wall": {"type": "rectangle", "bsdf": bsdf}, "sky": sky}
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 2},
+            "camera": {**camera, "film": film, "sampler": sampler},
+            "wall": {"type": "rectangle", "bsdf": bsdf},
+            "sky": sky,
+        }
     )
 
 
@@ -151,9 +158,10 @@ def test_forward_mode_is_render_forward(scene) -> None:
     torch = pytest.importorskip("torch")
     fwd = torch.autograd.forward_ad
     with fwd.dual_level():
-        dual = fwd.make_dual(torch.full((3,), 0.5), torch.tensor([1.0, 0.0, 2.0]))
-        tangent = fwd.unpack_dual(psdr.torch.render(scene, {WALL: dual}, **OPTIONS)).tangent
-    expected = psdr.render_forward(scene, psdr.traverse(scene), {WALL: [1.0, 0.0, 2.0]}, **OPTIONS).numpy()
+        directions = {WALL: [1.0, 0.0, 2.0], SKY: [0.0, 1.0, 0.5]}
+        duals = {n: fwd.make_dual(torch.full((3,), 0.5), torch.tensor(d)) for n, d in directions.items()}
+        tangent = fwd.unpack_dual(psdr.torch.render(scene, duals, **OPTIONS)).tangent
+    expected = psdr.render_forward(scene, psdr.traverse(scene), directions, **OPTIONS).numpy()
     assert np.abs(expected).max() > 0.0
     np.testing.assert_array_equal(tangent.numpy(), expected)
 

@@ -7,7 +7,7 @@ import pytest
 
 import warp_psdr as psdr
 
-NAME = "card.bsdf.reflectance.value"
+NAME, SKY = "card.bsdf.reflectance.value", "sky.radiance.value"
 ENTRY_POINTS = ["render", "render_backward", "render_forward"]
 
 
@@ -16,22 +16,23 @@ def scene():
     camera = {
         "type": "perspective",
         "to_world": psdr.Transform.look_at((0, 0, 4), (0, 0, 0)),
-        "film": {"type": "hdrfilm", "width": 4, "height": 3},
+        "film": {"type": "hdrfilm", "width": 4, "height": 3, "rfilter": {"type": "box"}},
         "sampler": {"type": "independent", "sample_count": 2},
     }
-    card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": 0.5}}
-    return psdr.load_dict({"type": "scene", "camera": camera, "card": card, "sky": {"type": "constant"}})
+    card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}}
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}
+    return psdr.load_dict({"type": "scene", "camera": camera, "card": card, "sky": sky})
 
 
 def call(entry_point: str, scene, integrator=None, **options) -> np.ndarray:
     """Return the image, or the gradient, of the card's reflectance."""
     params = psdr.traverse(scene)
-    params.requires_grad(NAME)
+    params.requires_grad(NAME, SKY)  # as PyTorch's tests do
     integrator = integrator or psdr.PathIntegrator(max_depth=2)
     if entry_point == "render":
         return psdr.render(scene, params, integrator=integrator, **options).numpy()
     if entry_point == "render_forward":
-        return psdr.render_forward(scene, params, {NAME: 1.0}, integrator=integrator, **options).numpy()
+        return psdr.render_forward(scene, params, {NAME: 1.0, SKY: 0.0}, integrator=integrator, **options).numpy()
     psdr.render_backward(scene, params, np.ones((3, 4, 3)), integrator=integrator, **options)
     return params[NAME].grad.numpy()
 
@@ -78,6 +79,15 @@ def test_numpy_integers_and_negative_sensors_count_as_in_python(scene, entry_poi
     same = call(entry_point, scene, sensor=np.int64(-1), spp=np.int32(2), seed=np.uint32(7))
     assert np.any(plain != 0.0)
     np.testing.assert_array_equal(plain, same)
+
+
+def test_derivatives_add_up_to_the_gradient(scene) -> None:
+    """Of all of the image, in equal random numbers: the modes are each other's transposes."""
+    derivative, gradient = (
+        call(entry_point, scene, spp=16, seed=7) for entry_point in ("render_forward", "render_backward")
+    )
+    assert derivative.sum() > 1.0
+    np.testing.assert_allclose(gradient.sum(), derivative.sum(), rtol=1e-5)
 
 
 @pytest.mark.parametrize("entry_point", ENTRY_POINTS)

@@ -105,7 +105,7 @@ def loaded(name):
     return scene, psdr.traverse(scene)
 
 
-@pytest.mark.slow_rows(*ROOMS)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [OF_THE_TABLE, *ROOMS])
 def test_forward_and_reverse_mode_are_adjoint(name):
     scene, params, w, grads = gradients(name)
