@@ -87,7 +87,7 @@ MOVES = (
     ("radii", coordinate(3), 1),
 )
 CASES = [
-    Case("tapered tube", POINTS, coordinate(3), STEP, "radii", 1, 256, 1024, slow=False),
+    Case("tapered tube", POINTS, coordinate(3), STEP, "radii", 1, 256, 1024),
     *(
         Case(f"{kind} {what}", POINTS, tangent, STEP, move, 2, 512 * more, 2048 * more)
         for what in ("tube", "cones")

@@ -184,7 +184,7 @@ def test_constant_environment(device):
 # -- dispatch ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow_rows("constant")
+@pytest.mark.slow_rows("constant", "envmap")
 @pytest.mark.parametrize("name", ["constant", "envmap", "point", "spot", "textured spot", "projector", "directional"])
 def test_dispatch_over_all_kinds_equals_the_single_kind(name):
     light = Light(**LIGHTS[name])

@@ -114,7 +114,7 @@ def test_equal_configurations_give_equal_bits_and_other_seeds_do_not(config: Fit
     assert not np.array_equal(runs[0].losses, runs[2].losses)
 
 
-@pytest.mark.slow_rows("15")
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_stop_request_ends_the_run_at_a_whole_step(config: FitConfig, number: int, monkeypatch) -> None:
     count = 0

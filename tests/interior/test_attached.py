@@ -138,7 +138,7 @@ def make_mover(distribution):
     return mover
 
 
-@pytest.mark.parametrize("distribution", ["ggx", "beckmann"])
+@pytest.mark.parametrize("distribution", ["ggx", pytest.param("beckmann", marks=pytest.mark.slow)])
 def test_velocities_are_those_of_the_sampling_routine(distribution):
     n, h = 500, 2e-3
     rng = np.random.default_rng(5)

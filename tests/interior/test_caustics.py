@@ -33,13 +33,25 @@ def said_of(scene, **options):
     return [line[1:] for line in plan.lines if line[0] == "light by mirrors and glass"]
 
 
-def test_by_itself_it_finds_a_light_behind_glass_and_its_derivatives():
-    """All light of the point light is refracted: image, both modes and all numbers of workers against a quadrature."""
-    scene = psdr.load_dict({**under_water(), "integrator": {"type": "path", "max_depth": 3}})
+@pytest.fixture(scope="module")
+def water():
+    """All light of the point light is refracted."""
+    return psdr.load_dict({**under_water(), "integrator": {"type": "path", "max_depth": 3}})
+
+
+def test_by_itself_it_finds_a_light_behind_glass(water):
+    """Against a quadrature."""
+    scene = water
     assert said_of(scene, max_depth=3) == [(JOINS, "light shines by mirrors and glass alone")]
     expected = pixel_means(refracted_radiance)
     images = [psdr.render(scene, spp=1024, seed=i).numpy()[..., 0] for i in range(BATCHES)]
     assert_mean(np.array(images, np.float64), expected, "image")
+
+
+@pytest.mark.slow
+def test_derivatives_of_a_light_behind_glass(water):
+    """Both modes and all numbers of workers against a quadrature."""
+    scene, expected = water, pixel_means(refracted_radiance)
     params = psdr.traverse(scene)
     slopes = {"light.intensity.value": expected / INTENSITY, "floor.bsdf.reflectance.value": 2.0 * expected}
     adjoint = weights(8)

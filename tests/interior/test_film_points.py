@@ -145,7 +145,7 @@ def backward(rfilter, kind, method, seeds, spp, shapes=resting, boundary="auto")
     return np.mean(found), np.std(found, ddof=1) / np.sqrt(len(found))
 
 
-@pytest.mark.slow_rows(*(f"tent-{kind}" for kind in KINDS), *(f"box-{kind}" for kind in KINDS if kind != "flying"))
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("rfilter", ["tent", "box"])
 def test_mean_is_that_of_replay(rfilter, kind):

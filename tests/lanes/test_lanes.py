@@ -476,16 +476,9 @@ wp.load_module(kernel.module, device="cpu")
 """
 
 
-@pytest.mark.slow_rows("replay")
+@pytest.mark.slow
 @pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
-@pytest.mark.parametrize(
-    "kernel",
-    [
-        "primal",
-        "replay",
-        *(pytest.param(name, marks=pytest.mark.slow) for name in LOOPS if name not in ("primal", "replay")),
-    ],
-)
+@pytest.mark.parametrize("kernel", LOOPS)
 def test_loops_over_lanes_become_simd(kernel, tmp_path):
     """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
     result = subprocess.run(

@@ -93,6 +93,7 @@ def test_a_slab_of_layers(scene, scale, background):
     assert not found[ALBEDO].any() and np.abs(found[EMISSION]).sum() > 0.1
 
 
+@pytest.mark.slow
 def test_a_homogeneous_slab_of_luminous_layers():
     """Of one extinction, with emission and albedo by grids; by every layer and by the extinction."""
     sigma = np.array([0.5, 1.2, 0.1])

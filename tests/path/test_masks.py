@@ -97,6 +97,7 @@ def test_derivative_by_what_an_opacity_of_zero_hides():
     assert_mean(forward, GLOW, "mirror less what is behind", 1e-3)
 
 
+@pytest.mark.slow
 def test_derivative_by_texels_of_an_opacity():
     """Texels of 0, of 1, and between: each has minus the light of its share of the view."""
     values = np.array([[[0.0], [1.0]], [[0.5], [0.25]]], np.float32)

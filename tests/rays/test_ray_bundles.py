@@ -14,6 +14,11 @@ from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, AnyHit, Ray, RayHit, make_
 from warp_psdr.kernels.lanes.lanes import make_record, words
 from warp_psdr.scene.acceleration import Accelerator, host_width
 
+#: Of the processor's width; the others are slow.
+each_width = pytest.mark.parametrize(
+    "width", [pytest.param(w, marks=() if w == host_width() else pytest.mark.slow) for w in WIDTHS]
+)
+
 SCENE = Path(__file__).resolve().parents[2] / "scenes" / "cornell_box.xml"
 FAR = 1.0e18
 #: Root mean square of an image's difference between ray queries that round differently, relative to its mean.
@@ -115,7 +120,7 @@ def compare(mesh, width, count, seed):
             assert 0.0 < bundled[1].mean() < 1.0
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 @pytest.mark.parametrize("mesh", list(MESHES))
 def test_bundles_meet_what_their_rays_meet(mesh, width):
     compare(mesh, width, 600, 0)
@@ -130,7 +135,7 @@ def test_bundles_meet_what_their_rays_meet_ten_million_times(mesh):
         compare(mesh, width, 10_000_000 // (len(MESHES) * len(KINDS) * len(SPREADS) * batches * width) + 1, 100 + seed)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 @pytest.mark.parametrize("mesh", ["box36", "sphere", "far_sphere"])
 @pytest.mark.parametrize("light", ["lamp", "sun"])
 def test_shadow_rays_to_one_light(mesh, width, light):
@@ -152,7 +157,7 @@ def test_shadow_rays_to_one_light(mesh, width, light):
     assert together.mean() > 0.3 and 0.1 < bundled[1].mean() < 0.99
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 @pytest.mark.parametrize("distance", [1.0e2, 1.0e3, 1.0e4])
 def test_shadow_rays_to_a_distant_lamp(distance, width):
     """Blockers are found behind vertices, on borders of boxes, where the rounding of the lamp's place counts."""
@@ -171,7 +176,7 @@ def test_shadow_rays_to_a_distant_lamp(distance, width):
     assert together.mean() > 0.3 and 0.3 < bundled[1].mean() <= 1.0
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_ties_without_a_tree(width):
     """Every triangle twice, in any order: alone or together, a ray meets the same one of the two."""
     rng = np.random.default_rng(9)
@@ -184,7 +189,7 @@ def test_ties_without_a_tree(width):
     assert together.mean() > 0.5 and bundled[1].mean() > 0.1
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_an_end_beyond_all_floats(width):
     """In the middle of a bundle whose other ends are close together."""
     vertices, faces = MESHES["sphere"]()
@@ -196,7 +201,7 @@ def test_an_end_beyond_all_floats(width):
     assert_equal(vertices, faces, origins, directions, alone, bundled)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_rays_that_are_no_rays_disturb_no_others(width):
     vertices, faces = MESHES["sphere"]()
     origins, directions = make_rays("random", vertices, faces, 200)
@@ -212,7 +217,7 @@ def test_rays_that_are_no_rays_disturb_no_others(width):
     assert alone[1].mean() > 0.1
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_an_empty_mesh_is_missed(width):
     nothing = np.zeros((0, 3))
     rays = np.zeros((2 * width, 3)), np.full((2 * width, 3), 0.1), FAR

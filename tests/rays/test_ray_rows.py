@@ -11,7 +11,12 @@ from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, RayHit, make_intersect
 from warp_psdr.kernels.lanes.lanes import make_fetch, make_record, word_of
 from warp_psdr.kernels.structs import Triangle
-from warp_psdr.scene.acceleration import Accelerator
+from warp_psdr.scene.acceleration import Accelerator, host_width
+
+#: Of the processor's width; the others are slow.
+each_width = pytest.mark.parametrize(
+    "width", [pytest.param(w, marks=() if w == host_width() else pytest.mark.slow) for w in WIDTHS]
+)
 
 FAR = 1.0e18
 
@@ -110,7 +115,7 @@ def test_rays_in_rows_meet_what_they_meet_alone(width, mesh, kind):
     assert 0.0 < found[on].mean() < 1.0
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_rays_that_are_no_rays_meet_nothing(width):
     vertices, faces = corner()
     bad = np.array([[np.nan, 0, 0], [0, np.inf, 0], [0, 0, 0]])
@@ -125,7 +130,7 @@ def test_rays_that_are_no_rays_meet_nothing(width):
     np.testing.assert_array_equal(rows["hit"]["t"], np.float32(FAR))
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_rays_in_rows_follow_a_moved_mesh(width):
     vertices, faces = corner()
     points = wp.array(vertices, dtype=wp.vec3, device="cpu")
@@ -142,7 +147,7 @@ def test_rays_in_rows_follow_a_moved_mesh(width):
         np.testing.assert_allclose(out[2].numpy()["hit"]["t"], 4.0 + shift, rtol=1.0e-6)
 
 
-@pytest.mark.parametrize("width", WIDTHS)
+@each_width
 def test_records_are_fetched_into_lanes(width):
     fetch = make_fetch(Triangle, width)
     get, _put = make_record(Triangle, width)

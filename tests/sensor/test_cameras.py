@@ -121,6 +121,7 @@ def test_wrong_parameters_are_refused(kind, parameters, message):
         load(kind, **parameters)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*far from the origin:warp_psdr.SceneWarning")
 def test_a_point_in_focus_is_sharp_and_others_spread_as_derived():
     """A small lamp: one pixel in focus; out of focus a disk of the radius a |1/f - 1/z| of the image."""

@@ -151,6 +151,7 @@ def test_creases_beside_a_face_seen_nearly_edge_on() -> None:
     assert abs(crease(4.8e-5, 0.1) / crease(1e-3, 0.1) - 1.0) < 0.05
 
 
+@pytest.mark.slow
 def test_creases_close_to_the_camera() -> None:
     """What is behind the camera, nearer than rays otherwise start, is not met."""
     wall = {
@@ -161,6 +162,7 @@ def test_creases_close_to_the_camera() -> None:
     assert crease(**close, wall=wall) == crease(**close) != 0.0
 
 
+@pytest.mark.slow
 def test_creases_behind_what_is_nearly_there() -> None:
     """A plate that covers the ridge nearer than rays towards the camera start has its image, and the ridge none."""
     plate = {

@@ -259,7 +259,11 @@ CASES = (
 
 
 @pytest.mark.slow_rows(
-    "a box whose top is seen at 1e-2 .. 3e-6", "corners beside and behind the camera", "slabs of thickness 1e-3 .. 1e-6"
+    "a box whose top is seen at 1e-2 .. 3e-6",
+    "corners beside and behind the camera",
+    "slabs of thickness 1e-3 .. 1e-6",
+    "sheets at grazing angles, 4e-2 .. 4e-5",
+    "a vertex on a corner of pixels",
 )
 @pytest.mark.parametrize("case", parameters(CASES))
 def test_coverage(case, check) -> None:

@@ -173,6 +173,7 @@ def test_mixed_scales(case, check) -> None:
     check(case)
 
 
+@pytest.mark.slow
 def test_one_step_for_all_loses_the_small(monkeypatch) -> None:
     monkeypatch.setattr(steps, "MIXED", 0.0)
     assert floating((6,)) > 0.9 and light(on_a_floor(1e5), standing(1e3, 3), SLIDE) > 0.05
