@@ -2,6 +2,7 @@
 
 import numpy as np
 import warp as wp
+from scipy.stats import chi2
 
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes
@@ -18,6 +19,16 @@ BATCHES = 20
 LIMIT = 4.0
 #: The squares of the étendue: heights of receiver and light, half their sides, about (.5, .5).
 LOW, HIGH, HALF = wp.constant(-0.2), wp.constant(1.2), wp.constant(0.6)
+#: Bins of lines that touch: the octant of the point about a middle, and the axis that is nearest to the direction.
+BINS = 48
+
+
+@wp.func
+def bin_of(p: wp.vec3, w: wp.vec3) -> wp.float64:
+    """Number of the bin of a line that touches at p, from the middle, and runs along w."""
+    n = wp.where(p[0] > 0.0, 1, 0) + wp.where(p[1] > 0.0, 2, 0) + wp.where(p[2] > 0.0, 4, 0)
+    axis = wp.argmax(wp.vec3(wp.abs(w[0]), wp.abs(w[1]), wp.abs(w[2])))
+    return wp.float64(6 * n + 2 * wp.int32(axis) + wp.where(w[wp.int32(axis)] > 0.0, 1, 0))
 
 
 @wp.func
@@ -79,13 +90,25 @@ def spread(samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return means.mean(axis=0), means.std(axis=0, ddof=1) / np.sqrt(BATCHES)
 
 
-def sums(
-    touch: wp.Kernel, shape: tuple[int, int], scene: psdr.Scene, tangent: np.ndarray | float, towards: int, seed: int
-) -> tuple[np.ndarray, np.ndarray]:
-    """Means and their standard errors, of the columns that a kernel writes, (samples, columns).
+def assert_shares_agree(techniques: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """Chi-square test of two samplers of one measure: weights (N,) and their bins (N,) of each."""
+    means, variances, told = [], [], np.ones(BINS, bool)
+    for weights, bins in techniques:
+        places = bins.astype(int)
+        mean, square = (np.bincount(places, weights**k, minlength=BINS) / len(weights) for k in (1, 2))
+        means.append(mean)
+        variances.append((square - mean * mean) / len(weights))
+        # Of fewer samples errors are not normal.
+        told &= np.bincount(places[weights > 0.0], minlength=BINS) >= 50
+    assert told.sum() >= BINS // 2, told
+    squares = (means[0] - means[1])[told] ** 2 / (variances[0] + variances[1])[told]
+    assert squares.sum() < chi2.ppf(1.0 - 1e-4, told.sum()), (squares.round(1), *means)
 
-    ``tangent``: of the values of the grid.
-    """
+
+def touches(
+    touch: wp.Kernel, shape: tuple[int, int], scene: psdr.Scene, tangent: np.ndarray | float, towards: int, seed: int
+) -> np.ndarray:
+    """What a kernel writes, (samples, columns); ``tangent``: of the values of the grid."""
     tangents = np.zeros(len(scene.values), np.float32)
     p = scene.parameters["body.grid"]
     tangents[p.offset : p.offset + p.size] = np.ravel(tangent)
@@ -94,7 +117,14 @@ def sums(
     out = wp.zeros(shape, dtype=wp.float64, device="cpu")
     inputs = [scene.data(), found, wp.array(tangents, dtype=wp.float32, device="cpu"), towards, seed]
     wp.launch(touch, dim=shape[0], inputs=inputs, outputs=[out], device="cpu")
-    return spread(out.numpy())
+    return out.numpy()
+
+
+def sums(
+    touch: wp.Kernel, shape: tuple[int, int], scene: psdr.Scene, tangent: np.ndarray | float, towards: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Means and their standard errors, of the columns that a kernel writes."""
+    return spread(touches(touch, shape, scene, tangent, towards, seed))
 
 
 def blocked(grid: np.ndarray, tangent: np.ndarray, **kind: str) -> tuple[float, float]:

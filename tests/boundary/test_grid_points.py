@@ -26,7 +26,7 @@ from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_silhouettes import Eyes, grid_items, grid_shapes, items_of, may_show
 
-from .etendue import LIMIT, blocked, growth, is_free, loaded, shapes, sums
+from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 
 ACCUMULATE = make_touch_sink("forward")
 SAMPLES = 1_000_000
@@ -42,7 +42,10 @@ def touch(
     seed: wp.int32,
     out: wp.array2d(dtype=wp.float64),
 ):
-    """One line that touches the grid: 1 / density, of creases and in voxels; and what of it is blocked anew."""
+    """One line that touches the grid: 1 / density, of creases and in voxels; and what of it is blocked anew.
+
+    ``towards``: 0 in a direction of its own, 1 in any, 2 along z.
+    """
     t = wp.tid()
     state = wp.rand_init(seed, t)
     count = found.items.shape[0]
@@ -54,12 +57,14 @@ def touch(
     a = wp.randf(state)
     b = wp.randf(state)
     eye = wp.sample_unit_sphere_surface(state)
+    if towards == 2:
+        eye = wp.vec3(0.0, 0.0, 1.0)
     u = wp.randf(state)
     v = wp.randf(state)
     point = TouchPoint()
     if parts[3] != VOXEL_ITEM:
         point = crease_point(scene, tri, g, parts, u)
-    elif towards == 1:
+    elif towards > 0:
         point = curve_point(scene, tri, g, parts, eye_in_voxels(tri, g, eye, True), True, u)
     else:
         point = surface_point(scene, tri, g, parts, u, v)
@@ -84,7 +89,7 @@ def touch(
         curvature = touch_curvature(tri, g, point, w)
         if curvature <= 0.0:
             return
-    if towards == 1:
+    if towards > 0:
         measure = 4.0 * 3.14159265 / point.density
         if point.crease == 0:
             size = wp.length(wp.cross(point.along, w))
@@ -93,6 +98,7 @@ def touch(
     value = wp.float64(wp.float32(count) * measure * size)
     column = 1 - point.crease
     out[t, column] = value
+    out[t, 5] = bin_of(point.q - wp.vec3(0.5), w)
     if towards == 0:
         out[t, 4] = wp.float64(wp.where(point.crease == 1, 0.0, wp.float32(count) * area_of_voxel_area(tri, g, point)))
         out[t, 4] = out[t, 4] / wp.float64(point.density)
@@ -105,9 +111,21 @@ def test_both_techniques_have_one_measure() -> None:
     pose = np.eye(4)
     pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
     scene = loaded(shapes(10), pose, **ANALYTIC)
-    (own, own_error), (towards, error) = (sums(touch, (SAMPLES, 5), scene, 0.0, k, 7 + k) for k in range(2))
+    found = [touches(touch, (SAMPLES, 6), scene, 0.0, k, 7 + k) for k in range(2)]
+    (own, own_error), (towards, error) = (spread(f) for f in found)
     gap, limit = np.abs(own - towards)[:2], LIMIT * np.hypot(own_error, error)[:2]
     assert (gap < limit).all() and (limit < 0.1 * own[:2]).all(), (own, towards, limit)
+    for column in (0, 1):
+        assert_shares_agree([(f[:, column], f[:, 5]) for f in found])
+
+
+@pytest.mark.parametrize("count", [16, 17])
+def test_outline_along_an_axis(count: int) -> None:
+    """With 16 nodes the sheets around the middle are seen from their edges."""
+    found, error = sums(touch, (SAMPLES, 6), loaded(sphere(count, 0.4), **ANALYTIC), 0.0, 2, 5)
+    outline = (found[0] + found[1]) / (4.0 * np.pi)
+    assert (error[:2] < 0.015 * (4.0 * np.pi) * outline).all()
+    assert outline == pytest.approx(2.0 * np.pi * 0.4, rel=0.05)
 
 
 @pytest.mark.slow_rows("16")
@@ -115,7 +133,7 @@ def test_both_techniques_have_one_measure() -> None:
 def test_blocked_etendue(count: int) -> None:
     """By all values of a grid: creases have most of it, also where the grid is fine."""
     grid, tangent = shapes(count), growth(count)
-    found, error = sums(touch, (SAMPLES, 5), loaded(grid, **ANALYTIC), tangent, 0, 3)
+    found, error = sums(touch, (SAMPLES, 6), loaded(grid, **ANALYTIC), tangent, 0, 3)
     expected, deviation = blocked(grid, tangent, **ANALYTIC)
     total = found[2] + found[3]
     assert abs(total - expected) < LIMIT * np.sqrt(error[2] ** 2 + error[3] ** 2 + deviation**2)
@@ -125,7 +143,7 @@ def test_blocked_etendue(count: int) -> None:
 
 def test_area_of_a_sphere() -> None:
     """The sampler's density on the surface: tri-linear interpolation moves a sphere by parts of a voxel squared."""
-    found, error = sums(touch, (SAMPLES, 5), loaded(sphere(32, 0.4), **ANALYTIC), 0.0, 0, 11)
+    found, error = sums(touch, (SAMPLES, 6), loaded(sphere(32, 0.4), **ANALYTIC), 0.0, 0, 11)
     assert error[4] < 0.005 * found[4]
     assert found[4] == pytest.approx(4.0 * np.pi * 0.16, rel=0.015)
 

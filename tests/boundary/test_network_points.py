@@ -24,7 +24,7 @@ from warp_psdr.scene.description import Network
 from warp_psdr.scene.network_bounds import cells_of
 from warp_psdr.topology.network_silhouettes import network_items, network_shapes, passed_cells, seen_cells
 
-from .etendue import LIMIT, spread
+from .etendue import LIMIT, assert_shares_agree, bin_of, spread
 
 SAMPLES = 100_000
 
@@ -67,13 +67,14 @@ def touch_network(scene: Scene, found: GridItems, towards: wp.int32, seed: wp.in
     else:
         measure = 1.0 / own_density(tri, g, point, curvature)
     out[t, 0] = wp.float64(each * measure)
+    out[t, 2] = bin_of(point.q - wp.vec3(0.5), w)
 
 
-def measured(scene: psdr.Scene, towards: int, samples: int = SAMPLES) -> tuple[np.ndarray, np.ndarray]:
+def measured(scene: psdr.Scene, towards: int, samples: int = SAMPLES) -> np.ndarray:
     found = network_items(scene, network_shapes(scene), None)
-    out = wp.zeros((samples, 2), dtype=wp.float64, device=scene.device)
+    out = wp.zeros((samples, 3), dtype=wp.float64, device=scene.device)
     wp.launch(touch_network, samples, inputs=[scene.data(), found, towards, 3 + towards], outputs=[out])
-    return spread(out.numpy())
+    return out.numpy()
 
 
 @pytest.mark.slow
@@ -85,9 +86,11 @@ def test_both_techniques_have_one_measure() -> None:
     scene = psdr.load_dict(
         {"type": "scene", "body": body, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
     )
-    (own, own_error), (towards, error) = (measured(scene, k) for k in range(2))
+    found = [measured(scene, k) for k in range(2)]
+    (own, own_error), (towards, error) = (spread(f) for f in found)
     limit = LIMIT * np.hypot(own_error, error)[0]
     assert abs(own - towards)[0] < limit < 0.1 * own[0], (own, towards, limit)
+    assert_shares_agree([(f[:, 0], f[:, 2]) for f in found])
 
 
 @pytest.mark.slow
@@ -106,7 +109,7 @@ def test_lines_that_touch_a_ball() -> None:
     scene = psdr.load_dict(
         {"type": "scene", "body": ball, "sensor": {"type": "perspective"}, "sky": {"type": "constant"}}
     )
-    found, error = measured(scene, 1, 16 * SAMPLES)
+    found, error = spread(measured(scene, 1, 16 * SAMPLES))
     expected = 8.0 * np.pi**2 * radius
     assert error[0] < 0.01 * expected
     assert abs(found[0] - expected) < 3.0 * error[0], (found, error, expected)

@@ -26,7 +26,7 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_contacts import spline_interpolated
 from warp_psdr.topology.grid_silhouettes import items_of, spline_may_show
 
-from .etendue import LIMIT, blocked, growth, is_free, loaded, shapes, sums
+from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 
 ACCUMULATE = make_touch_sink("forward", True)
 SAMPLES = 400_000
@@ -79,6 +79,7 @@ def touch_smoothly(
     else:
         measure = 1.0 / own_density(tri, g, point, curvature)
     out[t, 0] = wp.float64(each * measure)
+    out[t, 4] = bin_of(point.q - wp.vec3(0.5), w)
     if towards == 0:
         speed = ACCUMULATE(scene, tangents, point, point.out)
         out[t, 1] = wp.float64(each * measure * speed)
@@ -90,7 +91,7 @@ def touch_smoothly(
 def test_lines_that_touch_a_sphere() -> None:
     """The integral of kappa_n dA dtheta is pi dS/dr = 8 pi^2 r, and the density of points gives the area."""
     count, radius = 24, 0.4
-    found, error = sums(touch_smoothly, (SAMPLES, 4), loaded(sphere(count, radius), **CUBIC), -1.0, 0, 11)
+    found, error = sums(touch_smoothly, (SAMPLES, 5), loaded(sphere(count, radius), **CUBIC), -1.0, 0, 11)
     smoothed = radius - 1.0 / (3.0 * radius * (count - 1) ** 2)
     assert (error[[1, 3]] < 0.003 * found[[1, 3]]).all()
     assert found[1] == pytest.approx(8.0 * np.pi**2 * smoothed, rel=0.01)
@@ -103,16 +104,18 @@ def test_both_techniques_have_one_measure() -> None:
     pose = np.eye(4)
     pose[:3, :3] = [[1.5, 0.4, 0.0], [0.0, -0.8, 0.1], [0.2, 0.0, 1.1]]
     scene = loaded(shapes(10), pose, **CUBIC)
-    (own, own_error), (towards, error) = (sums(touch_smoothly, (SAMPLES, 4), scene, 0.0, k, 7 + k) for k in range(2))
+    found = [touches(touch_smoothly, (SAMPLES, 5), scene, 0.0, k, 7 + k) for k in range(2)]
+    (own, own_error), (towards, error) = (spread(f) for f in found)
     limit = LIMIT * np.hypot(own_error, error)[0]
     assert abs(own - towards)[0] < limit < 0.05 * own[0], (own, towards, limit)
+    assert_shares_agree([(f[:, 0], f[:, 4]) for f in found])
 
 
 @pytest.mark.slow
 def test_blocked_etendue() -> None:
     """By all values of a grid, of two spheres that are blended, with a neck that curves both ways."""
     grid, tangent = shapes(16), growth(16)
-    found, error = sums(touch_smoothly, (SAMPLES, 4), loaded(grid, **CUBIC), tangent, 0, 3)
+    found, error = sums(touch_smoothly, (SAMPLES, 5), loaded(grid, **CUBIC), tangent, 0, 3)
     expected, deviation = blocked(grid, tangent, **CUBIC)
     assert abs(found[2] - expected) < LIMIT * np.hypot(error[2], deviation), (found, error, expected, deviation)
     assert max(deviation, error[2]) < 0.03 * expected

@@ -11,6 +11,8 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.curve_points import coefficients
 from warp_psdr.topology.tubes import curve_shapes, tube_items
 
+from .etendue import assert_shares_agree, bin_of
+
 COUNT = 200_000
 
 
@@ -33,15 +35,17 @@ def measure(
         share = 1.0 / (chance * own_touch_density(own.point, own.w, bend))
         out[i, 0] = share
         out[i, 1] = wp.abs(share)
+        out[i, 4] = wp.float32(bin_of(own.point.x, own.w))
     w = ways[i]
     seen = tube_seen(scene, tri, item[0], item[1], w, True, along, u[i, 1])
     if seen.valid == 1 and seen.rim == 0:
         out[i, 2] = wp.abs(wp.dot(seen.out, w))
         out[i, 3] = 12.566370614 / (chance * seen_touch_density(seen, w, True, w))
+        out[i, 5] = wp.float32(bin_of(seen.x, w))
 
 
-def integrals(plugin: str, points: np.ndarray) -> np.ndarray:
-    """Return the means and errors, (2, 4), of what ``measure`` writes."""
+def measured(plugin: str, points: np.ndarray) -> np.ndarray:
+    """Return what ``measure`` writes, (COUNT, 6)."""
     scene = psdr.load_dict(
         {
             "type": "scene",
@@ -53,12 +57,15 @@ def integrals(plugin: str, points: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(0)
     ways = rng.standard_normal((COUNT, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    out = wp.zeros((COUNT, 4), dtype=wp.float32, device=scene.device)
+    out = wp.zeros((COUNT, 6), dtype=wp.float32, device=scene.device)
     found = tube_items(scene, curve_shapes(scene), creases=False)
     inputs = [wp.array(rng.random((COUNT, 4)), dtype=wp.float32), wp.array(ways, dtype=wp.vec3)]
     wp.launch(measure, dim=COUNT, inputs=[scene.data(), found, *inputs], outputs=[out], device=scene.device)
-    values = out.numpy().astype(np.float64)
-    return np.stack([values.mean(axis=0), values.std(axis=0) / np.sqrt(COUNT)])
+    return out.numpy().astype(np.float64)
+
+
+def mean_and_error(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    return values.mean(axis=0), values.std(axis=0) / np.sqrt(COUNT)
 
 
 def test_all_lines_that_touch_a_cone_with_its_spheres() -> None:
@@ -68,7 +75,9 @@ def test_all_lines_that_touch_a_cone_with_its_spheres() -> None:
     # circles of touch: radii r0 s and r1 s, slant l s, s^2 = 1 - k^2.
     k = (r0 - r1) / length
     by_radius = 2.0 * np.pi * length * (1.0 - k * k) + 4.0 * np.pi * (r0 * (1.0 + k) + r1 * (1.0 - k))
-    means, errors = integrals("linearcurve", np.array([[0.1, 0.0, 0.0, r0], [0.1 + length, 0.0, 0.0, r1]]))
+    means, errors = mean_and_error(
+        measured("linearcurve", np.array([[0.1, 0.0, 0.0, r0], [0.1 + length, 0.0, 0.0, r1]]))
+    )
     for place in (0, 3):
         assert abs(means[place] - np.pi * by_radius) < 4.0 * errors[place] + 1e-4 * means[place]
 
@@ -81,11 +90,13 @@ def test_all_lines_that_touch_a_bent_tube() -> None:
     v = np.linspace(0.0, 1.0, 2001)[:, None, None]
     axis = (a[0] + v * (a[1] + v * (a[2] + v * a[3])))[..., :3]
     length = np.linalg.norm(np.diff(axis, axis=0), axis=2).sum()
-    means, errors = integrals("bsplinecurve", points)
+    values = measured("bsplinecurve", points)
+    means, errors = mean_and_error(values)
     assert abs(means[0] - 2.0 * np.pi**2 * length) < 4.0 * errors[0] + 1e-4 * means[0]
     # Where the surface curves towards the line, what is drawn towards a light counts by its size.
     assert abs(means[3] - means[1]) < 4.0 * np.hypot(errors[1], errors[3])
     assert means[2] < 1e-4
+    assert_shares_agree([(values[:, 1], values[:, 4]), (values[:, 3], values[:, 5])])
 
 
 @wp.kernel(module="unique", enable_backward=False)

@@ -2,7 +2,8 @@
 
 In a slice of a voxel across an axis the surface is a hyperbola, whose branches are monotone. Along them psi = n . (eye
 - x) is looked at in places next to each other, and where its sign changes there is a point. All of them count: one is
-drawn, each as likely, and stands for their number, ``roots``.
+drawn, each as likely, and stands for their number, ``roots``. A point at the border of two voxels counts in both, for
+shares of one (``spline_points.py``).
 
 Derivation: ``docs/theory/shading_normals.md#terminators-of-grids``.
 """
@@ -19,6 +20,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     turn_voxel,
     with_surface,
 )
+from warp_psdr.kernels.boundary.silhouette.spline_points import BAND, interval_share
 from warp_psdr.kernels.primitive.affine import cofactor
 from warp_psdr.kernels.primitive.sdfgrid import Grid, voxel_at, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_smooth_sink
@@ -27,6 +29,8 @@ from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Parts of a branch of a hyperbola, in each of which psi has one zero at most, and steps that find it.
 BRANCH_PARTS, BRANCH_STEPS = 8, 12
+#: Ends of a slice, with the bands of points that are shared.
+LOW, HIGH = -BAND, 1.0 + BAND
 
 
 @wp.struct
@@ -54,9 +58,9 @@ def along_branch(b: Branch, t: wp.float32) -> wp.vec2:
     y = b.first[0] + t * way[0]
     z = b.first[1] + t * way[1]
     if wp.abs(way[0]) >= wp.abs(way[1]):
-        z = wp.clamp(-(b.a[0] + b.a[1] * y) / (b.a[2] + b.a[3] * y), 0.0, 1.0)
+        z = wp.clamp(-(b.a[0] + b.a[1] * y) / (b.a[2] + b.a[3] * y), wp.static(LOW), wp.static(HIGH))
     else:
-        y = wp.clamp(-(b.a[0] + b.a[2] * z) / (b.a[1] + b.a[3] * z), 0.0, 1.0)
+        y = wp.clamp(-(b.a[0] + b.a[2] * z) / (b.a[1] + b.a[3] * z), wp.static(LOW), wp.static(HIGH))
     return wp.vec2(y, z)
 
 
@@ -110,25 +114,37 @@ def make_turned_point():
         b.a[1] = wp.lerp(c.v010, c.v110, x) - b.a[0]
         b.a[2] = wp.lerp(c.v001, c.v101, x) - b.a[0]
         b.a[3] = wp.lerp(c.v011, c.v111, x) - wp.lerp(c.v001, c.v101, x) - b.a[1]
-        # Where the curve meets the two sides z = 0 and 1; 0 if it does not, or not here.
-        y0 = -b.a[0] / b.a[1]
-        y1 = -(b.a[0] + b.a[2]) / (b.a[1] + b.a[3])
-        y0 = wp.where(y0 > 0.0 and y0 < 1.0, y0, 0.0)
-        y1 = wp.where(y1 > 0.0 and y1 < 1.0, y1, 0.0)
+        low = wp.static(LOW)
+        high = wp.static(HIGH)
+        # On the sides z = low and high phi is f + y rise; where it is 0 there; low if it is not, or not here.
+        f0 = b.a[0] + low * b.a[2]
+        f1 = b.a[0] + high * b.a[2]
+        rise0 = b.a[1] + low * b.a[3]
+        rise1 = b.a[1] + high * b.a[3]
+        y0 = -f0 / rise0
+        y1 = -f1 / rise1
+        y0 = wp.where(y0 > low and y0 < high, y0, low)
+        y1 = wp.where(y1 > low and y1 < high, y1, low)
+        # Whether one branch leads from side to side, which may run along z.
+        across = y0 > low and y1 > low and (f0 + low * rise0 < 0.0) == (f1 + low * rise1 < 0.0)
         count = wp.float32(0.0)
         rest = wp.float32(choice)
         held = Branch()
-        low = wp.float32(0.0)
+        start = wp.float32(0.0)
         f_low = wp.float32(0.0)
         f_high = wp.float32(0.0)
         for piece in range(3):
-            ya = wp.where(piece == 0, 0.0, wp.where(piece == 1, wp.min(y0, y1), wp.max(y0, y1)))
-            yb = wp.where(piece == 0, wp.min(y0, y1), wp.where(piece == 1, wp.max(y0, y1), 1.0))
+            ya = wp.where(piece == 0, low, wp.where(piece == 1, wp.min(y0, y1), wp.max(y0, y1)))
+            yb = wp.where(piece == 0, wp.min(y0, y1), wp.where(piece == 1, wp.max(y0, y1), high))
             middle = 0.5 * (ya + yb)
             z = -(b.a[0] + b.a[1] * middle) / (b.a[2] + b.a[3] * middle)
-            if yb > ya and z >= 0.0 and z <= 1.0:
-                b.first = wp.vec2(ya, wp.clamp(-(b.a[0] + b.a[1] * ya) / (b.a[2] + b.a[3] * ya), 0.0, 1.0))
-                b.last = wp.vec2(yb, wp.clamp(-(b.a[0] + b.a[1] * yb) / (b.a[2] + b.a[3] * yb), 0.0, 1.0))
+            is_across = across and piece == 1
+            if is_across or (yb > ya and z >= low and z <= high):
+                b.first = wp.vec2(ya, wp.clamp(-(b.a[0] + b.a[1] * ya) / (b.a[2] + b.a[3] * ya), low, high))
+                b.last = wp.vec2(yb, wp.clamp(-(b.a[0] + b.a[1] * yb) / (b.a[2] + b.a[3] * yb), low, high))
+                if is_across:
+                    b.first = wp.vec2(y0, low)
+                    b.last = wp.vec2(y1, high)
                 before = facing_at(scene, g, at, turn_axes_back(wp.vec3(x, b.first[0], b.first[1]), axis), eye, distant)
                 n = wp.int32(0)
                 while n < wp.static(BRANCH_PARTS):
@@ -139,7 +155,7 @@ def make_turned_point():
                         # The latest of n roots is kept with the probability 1 / n.
                         if rest * count < 1.0:
                             held = b
-                            low = wp.float32(n) * wp.static(1.0 / BRANCH_PARTS)
+                            start = wp.float32(n) * wp.static(1.0 / BRANCH_PARTS)
                             f_low = before
                             f_high = here
                             rest = rest * count
@@ -149,21 +165,21 @@ def make_turned_point():
                     n += 1
         if count == 0.0:
             return r
-        high = low + wp.static(1.0 / BRANCH_PARTS)
-        yz = along_branch(held, low)
+        end = start + wp.static(1.0 / BRANCH_PARTS)
+        yz = along_branch(held, start)
         kept = wp.int32(0)  # the end that the last step has kept: -1, +1
         for _k in range(wp.static(BRANCH_STEPS)):
             # False position; the value at an end that stays twice is halved.
-            t = wp.clamp(low + (high - low) * f_low / (f_low - f_high), low, high)
+            t = wp.clamp(start + (end - start) * f_low / (f_low - f_high), start, end)
             yz = along_branch(held, t)
             f = facing_at(scene, g, at, turn_axes_back(wp.vec3(x, yz[0], yz[1]), axis), eye, distant)
             if (f < 0.0) == (f_low < 0.0):
-                low = t
+                start = t
                 f_low = f
                 f_high *= wp.where(kept == 1, 0.5, 1.0)
                 kept = 1
             else:
-                high = t
+                end = t
                 f_high = f
                 f_low *= wp.where(kept == -1, 0.5, 1.0)
                 kept = -1
@@ -180,8 +196,8 @@ def make_turned_point():
         length = wp.length(normal)
         point.density = spread(t_curve) / 3.0
         point.along = from_voxels(tri, g, t_curve)
-        point.roots = count
-        if not (point.density > 0.0 and length > 0.0):
+        point.roots = count * interval_share(yz[0], 0.0, 1.0) * interval_share(yz[1], 0.0, 1.0)
+        if point.roots == 0.0 or not (point.density > 0.0 and length > 0.0):
             point.valid = 0
         turn = wp.float32(tri.i2)
         r.touch = point

@@ -26,6 +26,9 @@ from warp_psdr.kernels.structs import Scene, Triangle
 VOXEL_ITEM = wp.constant(3)
 #: Slope inside of a face over that across it, below which a crease has no direction.
 LEVEL = 1.0e-6
+#: Angle up to which a sheet counts as seen from its edge: of its two ends each is a silhouette by a share, and the
+#: points between them are none. It is above rounding; sheets that far from a ray are met by rays that graze them.
+EDGE_ON = 2.0e-5
 
 
 @wp.struct
@@ -324,22 +327,31 @@ def area_of_voxel_area(tri: Triangle, g: Grid, point: TouchPoint) -> wp.float32:
 
 @wp.func
 def touch_curvature(tri: Triangle, g: Grid, point: TouchPoint, w: wp.vec3) -> wp.float32:
-    """Normal curvature kappa_n of the surface along a tangent w, positive where it curves away."""
+    """Normal curvature kappa_n of the surface along a tangent w, positive where it curves away; 0 where it is flat."""
     slope = wp.length(cofactor(tri, wp.cw_mul(g.cells, point.gradient))) / wp.abs(determinant(tri))
     along = wp.cw_mul(g.cells, from_axes(tri, w))
-    return wp.dot(along, bend_of(point.mixed, along)) / slope
+    curvature = wp.dot(along, bend_of(point.mixed, along)) / slope
+    # A voxel is 1 / |along| long.
+    return wp.where(wp.abs(curvature) < EDGE_ON * wp.length(along), 0.0, curvature)
+
+
+@wp.func
+def side_share(x: wp.float32) -> wp.float32:
+    """Share of a sheet at an angle x to a plane on its positive side."""
+    return wp.clamp(0.5 + wp.static(0.5 / EDGE_ON) * x, 0.0, 1.0)
 
 
 @wp.func
 def crease_side(point: TouchPoint, w: wp.vec3) -> wp.float32:
     """+1 or -1 if both sheets of a crease lie on that side of the plane with the normal ``along`` x w; else 0.
 
-    Concave creases, which their own sheets hide, have no segments that touch them: 0.
+    Where a sheet lies in the plane the two ends of it are silhouettes by half, and both at one place: shares in
+    between. Concave creases, which their own sheets hide, have no segments that touch them: 0.
     """
-    m = wp.cross(point.along, w)
-    up = wp.dot(m, point.up)
-    down = wp.dot(m, point.down)
-    side = wp.where(up > 0.0 and down > 0.0, 1.0, wp.where(up < 0.0 and down < 0.0, -1.0, 0.0))
+    m = wp.normalize(wp.cross(point.along, w))
+    up = wp.dot(m, wp.normalize(point.up))
+    down = wp.dot(m, wp.normalize(point.down))
+    side = side_share(up) * side_share(down) - side_share(-up) * side_share(-down)
     return wp.where(point.convex == 1, side, 0.0)
 
 

@@ -12,7 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.slots import Slots
 from warp_psdr.kernels.boundary.silhouette.sphere import sphere_silhouette, sphere_silhouette_rate
-from warp_psdr.kernels.boundary.silhouette.tube_roots import CircleRoots, circle_roots
+from warp_psdr.kernels.boundary.silhouette.tube_roots import TURN, CircleRoots, circle_roots
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import TWO_PI
 from warp_psdr.kernels.math import any_tangent
@@ -205,7 +205,7 @@ def side_point(f: TubeFrame, face: wp.int32, segment: wp.int32, v: wp.float32, e
 
 @wp.func
 def side_roots(f: TubeFrame, eye: wp.vec3, distant: wp.bool) -> tuple[CircleRoots, wp.vec3, wp.vec3]:
-    """Angles of the silhouette on the circle at a place, and the axis from which they count, with the next one."""
+    """Angles of the silhouette on the circle at a place, and the axes of their cosines and sines."""
     found = CircleRoots()
     way = -eye
     rho = wp.float32(0.0)
@@ -221,8 +221,17 @@ def side_roots(f: TubeFrame, eye: wp.vec3, distant: wp.bool) -> tuple[CircleRoot
     s = across / alpha
     t = wp.cross(axis, s)
     if f.cubic == 1:
+        first = TURN[0] * s + TURN[1] * t
+        t = wp.cross(axis, first)
+        s = first
         found = circle_roots(
-            length * length, alpha, f.r * wp.dot(f.c2, s), f.r * wp.dot(f.c2, t), rho, f.r1 * wp.dot(f.c1, way)
+            length * length,
+            alpha * TURN[0],
+            -alpha * TURN[1],
+            f.r * wp.dot(f.c2, s),
+            f.r * wp.dot(f.c2, t),
+            rho,
+            f.r1 * wp.dot(f.c1, way),
         )
     else:
         h = lean(f)

@@ -1,11 +1,13 @@
 """Where around a circle of a tube an eye sees its silhouette: all roots of a quadratic equation in (cos, sin).
 
-With the angle theta counted from where the way from the eye leans, grad phi . (x - eye) = 0 reads
+With the way from the eye alpha, beta along two axes across the tube, grad phi . (x - eye) = 0 reads
 
-    (D - r (gamma cos + delta sin)) (alpha cos + rho) = K,
+    (D - r (gamma cos + delta sin)) (alpha cos + beta sin + rho) = K,
 
 which in z = tan(theta / 2), or of the opposite angle, is a quartic equation for -1 <= z <= 1. Between the roots of its
-derivatives a polynomial is monotone, so that none is passed.
+derivatives a polynomial is monotone, so that none is passed. The first axis leans by ``TURN`` from the way: from a
+direction a tube of one radius is seen from aside at right angles to the way, and roots at z = 1 would be found twice,
+or in neither half.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 """
@@ -18,6 +20,8 @@ QUARTIC = wp.types.vector(length=5, dtype=wp.float32)
 SEARCHES = 24
 #: Step at which a search ends: half of the last digit of 1. Newton's steps double the digits, so that four to six do.
 CLOSED = 6.0e-8
+#: Cosine and sine of the angle from the way to the first axis, -85 degrees.
+TURN = wp.constant(wp.vec2(0.08715574, -0.9961947))
 #: Stands for no root.
 NOWHERE = 2.0
 
@@ -100,12 +104,13 @@ def quartic_roots(p: QUARTIC) -> wp.vec4:
 def circle_roots(
     d: wp.float32,
     alpha: wp.float32,
+    beta: wp.float32,
     gamma: wp.float32,
     delta: wp.float32,
     rho: wp.float32,
     k: wp.float32,
 ) -> CircleRoots:
-    """Angles with (d - gamma cos - delta sin) (alpha cos + rho) = k, where the first factor is positive."""
+    """Angles with (d - gamma cos - delta sin) (alpha cos + beta sin + rho) = k and a positive first factor."""
     cosines = wp.vec4(0.0, 0.0, 0.0, 0.0)
     sines = wp.vec4(0.0, 0.0, 0.0, 0.0)
     count = wp.int32(0)
@@ -116,8 +121,15 @@ def circle_roots(
         a1 = -2.0 * sign * delta
         a2 = d + sign * gamma
         b0 = rho + sign * alpha
+        b1 = 2.0 * sign * beta
         b2 = rho - sign * alpha
-        p = QUARTIC(a0 * b0 - k, a1 * b0, a0 * b2 + a2 * b0 - 2.0 * k, a1 * b2, a2 * b2 - k)
+        p = QUARTIC(
+            a0 * b0 - k,
+            a0 * b1 + a1 * b0,
+            a0 * b2 + a1 * b1 + a2 * b0 - 2.0 * k,
+            a1 * b2 + a2 * b1,
+            a2 * b2 - k,
+        )
         roots = quartic_roots(p)
         i = wp.int32(0)
         while i < 4:
