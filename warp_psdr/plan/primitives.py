@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import METERS
+from warp_psdr.kernels.constants import METERS, PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
 from warp_psdr.kernels.primitive.dispatch import CURVES, GRIDS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
@@ -35,8 +35,9 @@ if TYPE_CHECKING:
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that are followed through smooth mirrors and glass beside them.
 SHOWN = (*EXACT.values(), *GRIDS, *CURVES)
-#: Kinds of shapes that may be smooth mirrors or glass themselves.
+#: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be mirrors alone.
 MIRRORS = tuple(EXACT.values())
+POLISHED = (PRIMITIVE_SDFGRID_CUBIC,)
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -217,8 +218,16 @@ def _of_mirrors(scene: Scene) -> str:
     for s in shapes:
         if KINDS[s.primitive] not in SHOWN:
             return f"what moves is not followed through smooth mirrors and glass beside {s.path!r}; make them rough"
-        if KINDS[s.primitive] not in MIRRORS and any(model_of(b).has_delta for b in s.bsdf.sides):
-            return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; make it rough"
+        models = [model_of(b) for b in s.bsdf.sides if model_of(b).has_delta]
+        if models and KINDS[s.primitive] not in MIRRORS:
+            if KINDS[s.primitive] not in POLISHED:
+                cubic = KINDS[s.primitive] == PRIMITIVE_SDFGRID
+                instead = "say 'interpolation': 'cubic', as normals jump between voxels, or " * cubic + "make it rough"
+                return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; {instead}"
+            other = next((m.plugin for m in models if m.has_smooth or m.transmits), "")
+            if other:
+                instead = "give it a 'conductor', or make it rough"
+                return f"what moves is not followed through the {other!r} of {s.path!r}; {instead}"
         if s.grid is not None and s.grid.smooth:
             turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
             curves = "curves that are not followed through smooth mirrors and glass"

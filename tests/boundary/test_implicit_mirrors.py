@@ -1,0 +1,71 @@
+"""Cubic grids of signed distances that are smooth mirrors themselves: what moves, against differences."""
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+from tests.networks import neck, sphere
+from tests.path.test_sdfgrid import nodes
+
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
+from .mirrors import ALONG, MIRROR, behind, lamp
+from .scenes import T, camera, floor, load, register
+from .test_exact_mirrors import soft_sky
+from .test_exact_sphere import entry
+from .test_sdfgrid import all_values
+
+BODY, GRID = "body.to_world", "body.grid"
+
+
+def shape(size, center, bsdf, of=sphere, **more):
+    """A grid of distances in a sheared box of a size around a place."""
+    axes = size * np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.1, 1.0]])
+    pose = np.eye(4)
+    pose[:3, :3] = axes
+    pose[:3, 3] = np.array(center) - 0.5 * axes.sum(axis=1)
+    grid = of(np.stack(nodes(17), axis=-1)).astype(np.float32)
+    return {"type": "sdfgrid", "interpolation": "cubic", "grid": grid, "to_world": T(pose), "bsdf": bsdf, **more}
+
+
+def close():
+    """A mirror with a neck under a sky, which shows itself; its outline is not on the film."""
+    view = camera((0.3, -4.0, 0.6), (0.0, 0.0, 0.6), fov=5.0)
+    return {"sensor": view, "sky": soft_sky(), "body": shape(1.0, (0.0, 0.0, 0.6), MIRROR, neck)}
+
+
+def standing():
+    """A mirror over a floor, which lights it, under a sky."""
+    view = camera((0.3, -3.0, 1.2), (0.0, 0.0, 0.45), fov=24.0)
+    return {"sensor": view, "sky": soft_sky(), "floor": floor(half=2.0), "body": shape(1.2, (0.0, 0.0, 0.5), MIRROR)}
+
+
+def lamps():
+    """A mirror that shows a lamp and a post behind the camera: nothing but edges."""
+    view = camera((0.3, -2.0, 0.6), (0.0, 1.2, 0.6), fov=9.0)
+    body, light = shape(2.4, (0.0, 1.5, 0.6), MIRROR), lamp((-0.6, -4.0, 0.9), 1.2)
+    return {"sensor": view, "post": behind()["post"], "body": body, "lamp": light}
+
+
+register({"cubic mirror, close": close, "cubic mirror, floor": standing, "cubic mirror": lamps})
+X = entry(0, 3)
+CASES = [
+    Case("cubic mirror, close", BODY, X, 0.004, "x", 3, 64, 256, slow=False),
+    Case("cubic mirror, close", GRID, all_values, 0.002, "all values", 3, 64, 256),
+    Case("cubic mirror, floor", BODY, X, 0.01, "x", 3, 384, 1024),
+    Case("cubic mirror", BODY, X, 0.003, "x", 2, 256, 2048),
+    Case("cubic mirror", GRID, all_values, 0.003, "all values", 2, 384, 2048),
+    Case("cubic mirror", "lamp.vertex_positions", ALONG, 0.02, "lamp moves", 2, 128, 2048),
+]
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("case", rows(CASES))
+def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
+    assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.slow
+def test_the_modes_are_transposes_of_each_other() -> None:
+    scene, params = load("cubic mirror, floor")
+    options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 4, "seed": 3}
+    assert_transposes(scene, params, [BODY, GRID, "floor.to_world"], options)
