@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
+from warp_psdr.kernels.bsdf.model import Measured, Rate, Table
 
 from . import measure
 from .configs import CASES, METHODS, TEXTBOOK_REFUSES, TOGETHER
@@ -68,6 +70,24 @@ def test_every_parameter_of_every_scene_has_a_row_or_a_reason():
         _scene, params = load(name)
         rest = {p for p in params if p not in {c.parameter for c in CASES if c.scene == name}}
         assert {p.rsplit(".", 1)[-1] for p in rest} <= covered, rest
+
+
+def test_every_number_that_a_model_declares_has_a_row():
+    """But for what is not differentiated: rates of sampling, tables, and what is measured on the surface."""
+    # In ``tests/path/test_turned_normals.py`` the scale of a bump map is, without noise.
+    covered = {("bumpmap", "scale")}
+    for name in {c.scene for c in CASES}:
+        scene, _params = load(name)
+        rows = [c.parameter for c in CASES if c.scene == name]
+        for bsdf in (side for shape in scene.description.shapes for side in (shape.bsdf, shape.bsdf.back) if side):
+            for value, texture in bsdf.textures.items():
+                if any(row == texture.path or row.startswith(f"{texture.path}.") for row in rows):
+                    covered.add((bsdf.model, value))
+    for model in (*MODELS, *COMPOSITES):
+        for parameter in model.parameters:
+            if not isinstance(parameter, Rate | Table | Measured):
+                for value in getattr(parameter, "values", ()):
+                    assert (model.plugin, value.name) in covered
 
 
 @pytest.mark.parametrize(
