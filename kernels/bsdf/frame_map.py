@@ -21,7 +21,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.composite import Child
 from warp_psdr.kernels.bsdf.model import Flag, Functions
-from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL
 from warp_psdr.kernels.math import aligned_tangent, at_least, to_local, to_world, where3
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -143,20 +143,9 @@ def make_frame_map(
         """Ask the nested model for a direction; none where the two surfaces disagree on its side."""
         frame = frame_map_frame(mat, wi)
         s = nested.sample(mat, to_perturbed(frame, wi), u, v)
-        inner = s.wo
-        wo = from_perturbed(frame, inner)
-        pdf = agree(wo[2], inner[2]) * s.pdf
-        value = s.value
-        if wp.static(model.has_delta):
-            value = frame_map_scatter(mat, wi, s.lobe).value
-        if wp.static(model.has_smooth):
-            # Of the direction as it is rounded, as for directions that come from elsewhere.
-            smooth = s.lobe == LOBE_SMOOTH
-            pdf = wp.where(smooth, frame_map_pdf(mat, wi, wo), pdf)
-            found = frame_map_eval(mat, wi, wo)
-            if wp.static(model.has_delta):
-                found = where3(smooth, found, value)
-            value = found  # without delta lobes nothing else is drawn, and the nested value is not computed
+        wo = from_perturbed(frame, s.wo)
+        pdf = agree(wo[2], s.wo[2]) * s.pdf
+        value = seen(frame, wo, s.wo) * s.value
         drawn = pdf > 0.0
         s.wo = where3(drawn, wo, wp.vec3(0.0, 0.0, 0.0))
         s.value = where3(drawn, value, wp.vec3(0.0, 0.0, 0.0))

@@ -55,6 +55,8 @@ class Footprint:
 
 @wp.func
 def wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
+    if i >= 0 and i < size:
+        return i
     if mode == WRAP_CLAMP:
         return wp.clamp(i, 0, size - 1)
     if mode == WRAP_MIRROR:

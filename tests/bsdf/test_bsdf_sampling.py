@@ -40,6 +40,8 @@ from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NONE, LOBE
 
 #: Relative error of float32 arithmetic through a microfacet model (a few dozen operations of 6e-8 each).
 FLOAT32 = 2e-5
+#: What a cosine is off by once a direction has been turned out of a frame and back into it, in float32.
+ROUNDED_COSINE = 1e-7
 #: Probability of a false alarm of all tests of one kind together.
 SIGNIFICANCE = 0.01
 SAMPLES = 100_000
@@ -281,8 +283,10 @@ def test_sample_returns_the_value_and_pdf_of_its_direction(bsdf, key: str, mat: 
     if declaration_of(key)[0].has_smooth:
         found = s[s["lobe"] == LOBE_SMOOTH]
         value, pdf = bsdf.eval_pdf(key, mat, wi, found["wo"]) if len(found) else (np.zeros((0, 3)), np.zeros(0))
-        np.testing.assert_allclose(found["value"], value, rtol=FLOAT32)
-        np.testing.assert_allclose(found["pdf"], pdf, rtol=FLOAT32)
+        # A map's child is asked in its frame; the direction is rounded on its way out of it, and back again.
+        turned = ROUNDED_COSINE if "map(" in key else 0.0
+        np.testing.assert_allclose(found["value"], value, rtol=FLOAT32, atol=turned * np.abs(value).max(initial=0.0))
+        np.testing.assert_allclose(found["pdf"], pdf, rtol=FLOAT32, atol=turned * pdf.max(initial=0.0))
         if EXAMPLES[key].bounded_by:
             # Beckmann's pdf has the exact G_1 and its value the fit, which exceeds it by up to 0.4 %.
             assert np.all(found["value"] <= 1.005 * mat[EXAMPLES[key].bounded_by] * found["pdf"][:, None])
