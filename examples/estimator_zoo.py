@@ -1,9 +1,11 @@
 """Draws one derivative by every method, with its error and the seconds that it took.
 
 How rough a ball of gold is, and how its normals tilt, by all methods of the interior term; where it stands, by all of
-the boundary term. All methods of a picture get about the same processor time. The error is that of the image, root mean
-square over its pixels, relative to a reference by the first method with other random numbers. Of the roughness there is
-one more picture, the derivative along a line through the highlight, with the spread of single images as error bars.
+the boundary term. All methods of a picture get about the same processor time, but for those that take more of it for 64
+samples. The error is that of the image, root mean square over its pixels, relative to a reference by the first method
+with other random numbers, without what the reference itself strays. One more picture shows errors against time, of
+means of more and more images, and one the derivative by the roughness along a line through the highlight, with the
+spread of single images as error bars.
 """
 
 from __future__ import annotations
@@ -27,14 +29,17 @@ TARGETS = {
 CHOICES = {"interior": ('interior.Attached(weights="attached")',), "normals": (), "boundary": ()}
 #: The parameters move along a direction t: values are per unit of t.
 UNIT = "d radiance / dt [W/m²/sr]"
-#: Images of a method of the interior term, whose spread the error bars are, and their share of a picture's time.
-RUNS, SHARE = 16, 1.0 / 16.0
-#: Samples of the first, timed pass, and how much longer the reference takes than a method.
-PILOT, REFERENCE = 4, 24
+#: Images by a method, of each of which the samples are a multiple of ``TOGETHER``, for mirrored film points.
+RUNS, TOGETHER = 16, 4
+#: Samples of the first, timed pass; how much longer the reference takes than a method, and its parts.
+PILOT, REFERENCE, PARTS = 4, 24, 8
 
 
-def scene_of(resolution: int) -> dict:
-    """Return a ball of gold on a floor, under a wide lamp and a small one."""
+def scene_of(resolution: int, flat: bool = False) -> dict:
+    """Return a ball of gold on a floor, under a wide lamp and a small one; ``flat``: without interpolated normals.
+
+    Reparameterisations take what moves with flat normals alone.
+    """
     lamps = {
         name: {
             "type": "rectangle",
@@ -57,7 +62,12 @@ def scene_of(resolution: int) -> dict:
             "film": film,
         },
         "floor": {"type": "rectangle", "to_world": T.scale(4.0), "bsdf": {"type": "diffuse", "reflectance": 0.5}},
-        "ball": {"type": "sphere", "to_world": T.translate([0.0, 0.0, 0.8]).scale(0.7), "bsdf": gold},
+        "ball": {
+            "type": "sphere",
+            "to_world": T.translate([0.0, 0.0, 0.8]).scale(0.7),
+            "face_normals": flat,
+            "bsdf": gold,
+        },
         **lamps,
     }
 
@@ -102,8 +112,8 @@ class Derivative:
 
 def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dict]:
     """Draw all methods of a picture, and return the table's rows."""
-    rows, pictures, reference = [], {}, None
-    images: dict[str, list[np.ndarray]] = {}
+    rows, pictures, reference, strays = [], {}, None, 0.0
+    images: dict[str, np.ndarray] = {}
     for label, integrator in methods(name, depth).items():
         derivative = Derivative(scene, name, integrator)
         try:
@@ -112,16 +122,18 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
             rows.append({"method": label, "refused": str(refusal)})
             continue
         if reference is None:
-            reference = derivative.image(REFERENCE * spp, seed=1)
+            parts = np.array([derivative.image(REFERENCE * spp // PARTS, seed=1000 + part) for part in range(PARTS)])
+            reference = parts.mean(axis=0)
+            strays = parts.var(axis=0, ddof=1).sum() / PARTS
+        few = TOGETHER * max(1, round(spp / (TOGETHER * RUNS)))
         start = time.process_time()
-        found = derivative.image(spp, seed=2)
+        found = np.array([derivative.image(few, seed=2 + run) for run in range(RUNS)])
         took = time.process_time() - start
-        error = float(np.sqrt(((found - reference) ** 2).sum() / (reference**2).sum()))
-        rows.append({"method": label, "samples": spp, "seconds": took, "error": error})
-        if name == "interior":
-            few = max(1, round(SHARE * spp))
-            images[label] = [derivative.image(few, seed=3 + run) for run in range(RUNS)]
-        pictures[f"{label}\n{spp} samples, {took:.2g} s, error {100 * error:.0f} %"] = found
+        errors = errors_of(found, reference, strays)
+        error = errors[-1]
+        rows.append({"method": label, "samples": RUNS * few, "seconds": took, "error": error, "errors": errors})
+        images[label] = found
+        pictures[f"{label}\n{RUNS * few} samples, {took:.2g} s, error {100 * error:.0f} %"] = found.mean(axis=0)
     picture = folder / f"zoo_{name}.png"
     image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=64)
     psdr.plots.side_by_side(
@@ -131,16 +143,53 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
         differences={f"reference, {REFERENCE} times as long": reference, **pictures},
         percentile=99.0,
         columns=4,
-        title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, about {seconds:g} s of processor each",
+        title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, "
+        f"about {seconds:g} s of processor each, or {RUNS * TOGETHER} samples",
         quantity=UNIT,
     )
     print(f"wrote {picture}")
-    if images:
-        draw_highlight(folder / "zoo_highlight.png", reference, images, SHARE * seconds)
+    if name == "interior":
+        draw_highlight(folder / "zoo_highlight.png", reference, images, seconds / RUNS)
     return rows
 
 
-def draw_highlight(picture: Path, reference: np.ndarray, images: dict[str, list[np.ndarray]], seconds: float) -> None:
+def errors_of(images: np.ndarray, reference: np.ndarray, strays: float) -> list[float]:
+    """Return the relative errors of means of 1, 2, 4, ... of the images, each of all groups of that many.
+
+    ``strays``: variance of the reference, summed over its pixels.
+    """
+    errors = []
+    while True:
+        square = ((images - reference) ** 2).reshape(len(images), -1).sum(axis=1).mean() - strays
+        errors.append(float(np.sqrt(max(square, 0.0) / (reference**2).sum())))
+        if len(images) == 1:
+            return errors
+        images = 0.5 * (images[0::2] + images[1::2])
+
+
+def draw_times(picture: Path, tables: dict[str, list[dict]]) -> None:
+    """Draw errors against processor time, a panel for each derivative."""
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
+
+    figure = Figure(figsize=(5.0 * len(tables), 7.2), layout="constrained")
+    for panel, (name, rows) in zip(figure.subplots(1, len(tables), squeeze=False)[0], tables.items(), strict=True):
+        drawn = [row for row in rows if "errors" in row]
+        for number, row in enumerate(drawn):
+            seconds = row["seconds"] / RUNS * 2.0 ** np.arange(len(row["errors"]))
+            # Colours and marks come in cycles of different lengths: no two methods have both.
+            panel.loglog(seconds, row["errors"], f"{'osv'[number % 3]}-C{number % 10}", ms=4, lw=1, label=row["method"])
+        panel.set_title(f"{TARGETS[name][2]}: the {TARGETS[name][0]} term", fontsize=10)
+        panel.set_xlabel("processor time [s]")
+        panel.xaxis.set_minor_formatter(NullFormatter())
+        panel.grid(which="both", color="0.9", lw=0.5)
+        panel.legend(fontsize=7, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
+    figure.supylabel("relative error of the derivative image")
+    figure.savefig(picture, dpi=110)
+    print(f"wrote {picture}")
+
+
+def draw_highlight(picture: Path, reference: np.ndarray, images: dict[str, np.ndarray], seconds: float) -> None:
     """Draw the derivative along the row of pixels where it is largest: means, and the spread of single images."""
     from matplotlib.figure import Figure
 
@@ -154,7 +203,7 @@ def draw_highlight(picture: Path, reference: np.ndarray, images: dict[str, list[
     figure = Figure(figsize=(4.2 * columns, 2.6 * rows), layout="constrained")
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for panel, (label, found) in zip(panels.flat, images.items(), strict=False):
-        lines = np.array(found)[:, row, shown].mean(axis=-1)
+        lines = found[:, row, shown].mean(axis=-1)
         spread = lines.std(axis=0, ddof=1)
         panel.plot(x, line[shown], color="0.5", lw=1.0, label="reference")
         panel.errorbar(x, lines.mean(axis=0), spread, fmt=".", ms=3.0, lw=0.8, color="tab:blue", label="± one image")
@@ -178,8 +227,9 @@ def main(
     folder: Path = ROOT / "out" / "examples", resolution: int = 128, depth: int = 4, seconds: float = 2.0
 ) -> dict[str, list[dict]]:
     folder.mkdir(parents=True, exist_ok=True)
-    scene = psdr.load_dict(scene_of(resolution))
-    tables = {name: draw(folder, scene, name, depth, seconds) for name in TARGETS}
+    scenes = {name: psdr.load_dict(scene_of(resolution, flat=name == "boundary")) for name in TARGETS}
+    tables = {name: draw(folder, scenes[name], name, depth, seconds) for name in TARGETS}
+    draw_times(folder / "zoo_time.png", tables)
     for name, rows in tables.items():
         print(f"\n{name}")
         for row in rows:

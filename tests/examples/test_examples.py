@@ -78,7 +78,7 @@ def test_estimator_zoo(example, tmp_path: Path) -> None:
         assert len(rows) == sum(m.term == term for m in psdr.methods()) + len(zoo.CHOICES[name])
         assert all(row["error"] < 3.0 for row in rows if "error" in row) and "error" in rows[0]
         assert contrast(tmp_path / f"zoo_{name}.png") > 0.05
-    assert contrast(tmp_path / "zoo_highlight.png") > 0.05
+    assert contrast(tmp_path / "zoo_highlight.png") > 0.05 and contrast(tmp_path / "zoo_time.png") > 0.05
 
 
 @pytest.mark.slow
