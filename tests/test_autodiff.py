@@ -102,6 +102,7 @@ def adjoints(source):
     return calls - empty, empty
 
 
+@pytest.mark.slow
 def test_a_callee_that_was_built_for_its_value_keeps_its_derivative_by_the_mark(tmp_path):
     # Without the mark it is silently lost: the reason for ``differentiable``, and the proof that the search finds the
     # trap. Where the last line fails, Warp has repaired it and the mark may go.

@@ -52,6 +52,7 @@ def test_photons_carry_the_flux_of_a_light(name) -> None:
     assert np.abs(np.linalg.norm(found.points, axis=1) - 2.0).max() < 0.05  # a faceted sphere
 
 
+@pytest.mark.slow
 def test_photons_of_a_spot_stay_in_its_cone() -> None:
     light = spot()
     scene, config = loaded(shell=ball((0, 0, 0), 4.0, WHITE, 3), light=light)

@@ -79,8 +79,7 @@ NAMES = {"lid": (SHAPE, LID), "cup": (SHAPE, BOTTOM), "tin": (SHAPE, BOTTOM, LID
 NAMES |= {"standing lid": (SHAPE, LID), "on a plate": (SHAPE,), "standing tin": (SHAPE, BOTTOM, LID)}
 POSES = {"lid": ALOFT, "cup": ALOFT, "tin": ALOFT}
 ON_FLOOR = ("standing", "standing lid", "on a plate", "standing tin")
-#: Under one light, so that both have the same kernels.
-FAST = {("lid", "lamp", "radius"), ("standing lid", "lamp", "height")}
+FAST = {("lid", "lamp", "radius")}
 
 
 def case(kind: str, light: str, what: str, depth: int = 2, names=None, tangent=None) -> Case:

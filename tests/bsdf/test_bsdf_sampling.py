@@ -160,7 +160,7 @@ def to_charts(key: str, mat: dict, wi: np.ndarray, wo: np.ndarray) -> tuple[np.n
 
 def quadrature(bsdf: Launcher, key: str, mat: dict, wi: np.ndarray):
     """``integrals`` in front of the surface and, where light passes it, behind, where radiance is scaled to energy."""
-    fine = (160, 24) if abs(wi[2]) < GRAZING else (40, 6)
+    fine = (160, 24) if abs(wi[2]) < GRAZING else (40, 6) if passes(key) else (24, 4)
     mass, energy = integrals(bsdf, key, mat, wi, fine=fine)
     if passes(key):
         through, radiance = integrals(bsdf, key, mat, wi, fine=fine, behind=True)

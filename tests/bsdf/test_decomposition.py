@@ -271,6 +271,7 @@ def make_signed_drawing(plugin: str, name: str):
     return signed_drawing
 
 
+@pytest.mark.slow_rows("abc-values1-B-0.6", "abc-values3-B-0.3", "abc-values4-C-1.2")
 @pytest.mark.parametrize(("plugin", "values", "name", "angle"), SIGNED)
 def test_lobes_of_one_sign_have_their_density(plugin, values, name, angle):
     """What is drawn has the model's own derivative over the weights as its density, cell by cell and in all."""

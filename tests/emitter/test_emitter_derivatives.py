@@ -95,6 +95,14 @@ def test_adjoint_of_the_point_or_direction_equals_differences(differentiated):
 
 
 @pytest.mark.slow_rows(
+    "gray point-wanted1",
+    "gray point-wanted2",
+    "skewed spot-wanted1",
+    "skewed spot-wanted2",
+    "black envmap-wanted1",
+    "black envmap-wanted2",
+    "skewed envmap-wanted1",
+    "skewed envmap-wanted2",
     "projector-wanted1",
     "projector-wanted2",
     "skewed projector-wanted1",

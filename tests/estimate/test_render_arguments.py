@@ -17,7 +17,7 @@ def scene():
         "type": "perspective",
         "to_world": psdr.Transform.look_at((0, 0, 4), (0, 0, 0)),
         "film": {"type": "hdrfilm", "width": 4, "height": 3, "rfilter": {"type": "box"}},
-        "sampler": {"type": "independent", "sample_count": 2},
+        "sampler": {"type": "sobol", "sample_count": 2},
     }
     card = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}}
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}}

@@ -36,6 +36,9 @@ def requested(case):
 
 @pytest.mark.slow_rows(
     "gap-ceiling.emitter.radiance.to_uv-4-reverse",
+    "plane-floor.to_world-scale-3-reverse",
+    "plane-floor.to_world-in plane-3-reverse",
+    "plane-sensor.principal_point_offset_y-3-reverse",
     "gap-floor.vertex_positions-bend-4-reverse",
     "gap-ceiling.to_world-along the normal-4-reverse",
 )

@@ -83,7 +83,7 @@ def test_block_sizes_agree_to_rounding(closed, depth):
         assert_same(backward(scene, params, depth, block), whole, ROUNDING)
 
 
-@pytest.mark.slow_rows("1", "64")
+@pytest.mark.slow
 @pytest.mark.parametrize("depth", [1, 2, 5, 16, 64])
 def test_gradient_of_the_furnace_has_its_closed_form(closed, depth):
     scene, params = closed

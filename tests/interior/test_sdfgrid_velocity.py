@@ -89,7 +89,7 @@ def hit(values, pose, o, d, t, normals):
     return o + t * d, m / np.linalg.norm(m), inverse.T @ (slopes(values, q, cubic)[1] * n)
 
 
-@pytest.mark.slow_rows("cubic", "smooth")
+@pytest.mark.slow
 @pytest.mark.parametrize("normals", ["smooth", "analytic", "cubic"])
 def test_velocities(normals: str) -> None:
     rng = np.random.default_rng(3)

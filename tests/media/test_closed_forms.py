@@ -98,6 +98,7 @@ def airlight():
     return make
 
 
+@pytest.mark.slow_rows("case3", "case4")  # of an anisotropic phase: its derivatives stay in test_gradient_forms.py
 @pytest.mark.parametrize("case", AIRLIGHT)
 def test_light_scattered_once(airlight, case):
     *parameters, expected = case

@@ -130,6 +130,7 @@ def slab():
     return scene, psdr.traverse(scene)
 
 
+@pytest.mark.slow  # as fast, test_emission.py has a slab before a sky
 @pytest.mark.parametrize("sigma", [0.0, 1e-3, 0.5, 1.0, 1e4])
 def test_transmittance(slab, sigma):
     """-l exp(-sigma l) by the density of what absorbs all; at depth 1 without noise."""

@@ -39,6 +39,7 @@ def expected_image(case, shape):
     "two_sided_front",
     "furnace_glass",
     "hidden_light",
+    "hidden_light.hidden",
     "furnace_outside",
     "point",
 )

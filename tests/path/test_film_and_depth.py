@@ -190,7 +190,7 @@ def test_mitsuba_sees_the_same_film():
 
 
 @pytest.mark.parametrize("border", [None, "false", "true"])
-@pytest.mark.parametrize("rfilter", ["tent", "gaussian"])
+@pytest.mark.parametrize("rfilter", [pytest.param("tent", marks=pytest.mark.slow), "gaussian"])
 @pytest.mark.parametrize("cropped", [False, True])
 def test_mitsuba_ends_filters_alike(rfilter, border, cropped):
     """At the border of the film and of a crop window, with samples beyond it and without."""

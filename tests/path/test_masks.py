@@ -43,6 +43,12 @@ FLOOR = GLOW * 0.6 * 0.6 / np.pi
 def test_transmittance_of_stacked_masks(opacities):
     passed = np.prod(1.0 - np.array(opacities))
     assert_mean(batches(stacked(*opacities), spp=256, max_depth=4).reshape(-1, 3), GLOW * passed, "seen", 1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("opacities", [(0.3,), (0.3, 0.6), (0.0, 0.5), (1.0, 0.5)], ids=str)
+def test_a_point_light_shines_through_stacked_masks(opacities):
+    passed = np.prod(1.0 - np.array(opacities))
     image = psdr.render(lit(*opacities), integrator=psdr.PathIntegrator(max_depth=4), spp=4).numpy()
     np.testing.assert_allclose(image.mean(axis=(0, 1)), FLOOR * passed, rtol=ROUNDING)
 

@@ -63,6 +63,7 @@ def test_a_tilted_map_is_a_turned_plane() -> None:
     np.testing.assert_allclose(lit_plane(normal_map(n, **PLAIN)), np.tile(expected(n), (16, 1)), rtol=FLOAT32)
 
 
+@pytest.mark.slow
 def test_the_bump_map_of_a_ramp_tilts_by_the_angle_of_its_slope() -> None:
     for slope_x, slope_y, scale in ((0.3, 0.0, 1.0), (0.0, -0.5, 1.0), (0.2, 0.1, 2.0)):
         n = np.array([-scale * slope_x, -scale * slope_y, 1.0])

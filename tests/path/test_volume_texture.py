@@ -29,6 +29,7 @@ def scene(reflectance, **more):
     return {"type": "scene", "integrator": {"type": "path"}, "camera": camera, "cube": cube, "sky": sky}
 
 
+@pytest.mark.slow
 def test_images_equal_mitsubas():
     """Interpolated voxels of a turned grid, read beyond its box too."""
     mi = pytest.importorskip("mitsuba")

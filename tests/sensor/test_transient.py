@@ -72,6 +72,7 @@ def test_a_plane_has_its_closed_form(film, gate) -> None:
     assert abs(np.mean(found) - expected) < 4.0 * np.std(found, ddof=1) / np.sqrt(6) + 1e-4 * expected
 
 
+@pytest.mark.slow
 def test_the_bins_add_up_to_the_steady_image() -> None:
     image = psdr.render(timed.room(**timed.ROOM_BINS), integrator=ROOM, spp=32)
     assert image.shape == (timed.SIZE, timed.SIZE, 40) and image.dtype is wp.vec3

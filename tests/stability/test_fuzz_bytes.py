@@ -12,7 +12,7 @@ from tests.stability.fuzz import CLEAR
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = ("xml", "ply", "obj", "off", "stl", "glb", "gltf", "exr", "png", "jpg", "toml", "json", "npz", "npy")
 #: Inputs of a kind: 224 and 28,000 altogether.
-FEW, MANY = 16, 2000
+FEW, MANY = 8, 2000
 #: Growth of the process over what reading the whole files took, MB: the inputs are of a few kilobytes.
 MEMORY = 64.0
 #: Seconds after which a process that hangs is ended: a safety net.

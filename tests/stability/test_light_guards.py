@@ -130,7 +130,7 @@ LIGHTS = {
 }
 
 
-@pytest.mark.slow_rows("map", "camera and map", "spot without an axis", "camera and sky", "spot", "projector", "sun")
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LIGHTS)
 def test_what_has_no_pose_is_counted(name: str) -> None:
     """A pose that holds NaN makes samples invalid, not a light that is off, a black image or one of a single texel."""

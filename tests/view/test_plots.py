@@ -234,6 +234,7 @@ def test_errors_that_a_log_log_plot_cannot_show_are_refused(tmp_path: Path, seri
         plots.error_against_time(tmp_path / "e.png", series)
 
 
+@pytest.mark.slow
 def test_matplotlib_loads_late_and_without_its_global_state(tmp_path: Path) -> None:
     code = (
         "import sys; from warp_psdr import plots; assert 'matplotlib' not in sys.modules; "
