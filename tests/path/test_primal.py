@@ -60,6 +60,14 @@ MITSUBA_CASES = {
     "anisotropic": object_scene(
         rough("ggx", '<float name="alpha_u" value="0.05"/><float name="alpha_v" value="0.4"/>'), LAMP
     ),
+    "plastic": object_scene('<bsdf type="plastic"><boolean name="nonlinear" value="true"/></bsdf>', SKY + LAMP),
+    "rough plastic": object_scene('<bsdf type="roughplastic"><float name="alpha" value="0.2"/></bsdf>', SKY + LAMP),
+    "rough glass": object_scene(
+        """<bsdf type="roughdielectric"><string name="distribution" value="ggx"/><float name="alpha" value="0.3"/>
+        <rgb name="specular_transmittance" value="0.6, 0.8, 1"/></bsdf>""",
+        SKY + LAMP,
+        depth=8,
+    ),
     "principled": object_scene(principled(metallic=0.3, anisotropic=0.5, sheen=0.6, clearcoat=0.9, flatness=0.4), LAMP),
     "principled glass": object_scene(principled(spec_trans=0.7, spec_tint=0.4, eta=1.4), SKY + LAMP, depth=8),
     "paper": object_scene(principled(kind="principledthin", diff_trans=1.2, sheen=0.5), SKY + LAMP, depth=8),
@@ -82,7 +90,7 @@ MITSUBA_CASES = {
 }
 
 
-SLOW = ("principled", "paper", "principled glass")
+SLOW = ("plastic", "rough plastic", "rough glass", "principled", "paper", "principled glass")
 
 
 @pytest.mark.slow_rows(
