@@ -1,4 +1,4 @@
-"""Cubic grids of signed distances that are smooth mirrors themselves: what moves, against differences."""
+"""Cubic grids of signed distances that are smooth mirrors or glass themselves: what moves, against differences."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from tests.networks import neck, sphere
 from tests.path.test_sdfgrid import nodes
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
-from .mirrors import ALONG, MIRROR, behind, lamp
+from .mirrors import ALONG, GLASS, MIRROR, behind, glass, lamp
 from .scenes import T, camera, floor, load, register
 from .test_exact_mirrors import soft_sky
 from .test_exact_sphere import entry
@@ -46,7 +46,14 @@ def lamps():
     return {"sensor": view, "post": behind()["post"], "body": body, "lamp": light}
 
 
-register({"cubic mirror, close": close, "cubic mirror, floor": standing, "cubic mirror": lamps})
+def lens():
+    """Two lamps behind a lens of glass."""
+    view = camera((0.0, -4.0, 0.4), (0.0, 0.0, 0.0), fov=14.0)
+    lights = {name: light for name, light in glass({}).items() if name in ("lamp", "other")}
+    return {"sensor": view, "body": shape(2.2, (0.0, 0.0, 0.0), GLASS), **lights}
+
+
+register({"cubic mirror, close": close, "cubic mirror, floor": standing, "cubic mirror": lamps, "cubic glass": lens})
 X = entry(0, 3)
 CASES = [
     Case("cubic mirror, close", BODY, X, 0.004, "x", 3, 64, 256, slow=False),
@@ -55,6 +62,8 @@ CASES = [
     Case("cubic mirror", BODY, X, 0.003, "x", 2, 256, 2048),
     Case("cubic mirror", GRID, all_values, 0.003, "all values", 2, 384, 2048),
     Case("cubic mirror", "lamp.vertex_positions", ALONG, 0.02, "lamp moves", 2, 128, 2048),
+    Case("cubic glass", BODY, X, 0.003, "x", 4, 384, 2048),
+    Case("cubic glass", "body.bsdf.eta", np.ones_like, 0.005, "index", 4, 384, 4096),
 ]
 
 
@@ -65,7 +74,13 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_modes_are_transposes_of_each_other() -> None:
-    scene, params = load("cubic mirror, floor")
-    options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 4, "seed": 3}
-    assert_transposes(scene, params, [BODY, GRID, "floor.to_world"], options)
+@pytest.mark.parametrize(
+    ("name", "names", "depth"),
+    [
+        ("cubic mirror, floor", [BODY, GRID, "floor.to_world"], 3),
+        ("cubic glass", [BODY, GRID, "body.bsdf.eta", "lamp.vertex_positions"], 4),
+    ],
+)
+def test_the_modes_are_transposes_of_each_other(name, names, depth) -> None:
+    scene, params = load(name)
+    assert_transposes(scene, params, names, {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": 4, "seed": 3})

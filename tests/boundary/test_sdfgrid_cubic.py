@@ -127,7 +127,7 @@ def test_the_limit_is_the_exact_sphere() -> None:
     ("change", "problem"),
     [
         ({"grid": values() - 0.2}, "the surface of 'body' ends at its box"),
-        ({"bsdf": {"type": "dielectric"}}, "not followed through the 'dielectric' of 'body'"),
+        ({"bsdf": {"type": "plastic"}}, "not followed through the 'plastic' of 'body'"),
     ],
 )
 def test_what_has_no_terms_is_refused(change: dict, problem: str) -> None:

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that are followed through smooth mirrors and glass beside them.
 SHOWN = (*EXACT.values(), *GRIDS, *CURVES)
-#: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be mirrors alone.
+#: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
 MIRRORS = tuple(EXACT.values())
 POLISHED = (PRIMITIVE_SDFGRID_CUBIC,)
 #: What the errors offer.
@@ -224,9 +224,9 @@ def _of_mirrors(scene: Scene) -> str:
                 cubic = KINDS[s.primitive] == PRIMITIVE_SDFGRID
                 instead = "say 'interpolation': 'cubic', as normals jump between voxels, or " * cubic + "make it rough"
                 return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; {instead}"
-            other = next((m.plugin for m in models if m.has_smooth or m.transmits), "")
+            other = next((m.plugin for m in models if m.has_smooth or m.has_null), "")
             if other:
-                instead = "give it a 'conductor', or make it rough"
+                instead = "give it a 'conductor' or a 'dielectric', or make it rough"
                 return f"what moves is not followed through the {other!r} of {s.path!r}; {instead}"
         if s.grid is not None and s.grid.smooth:
             turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
