@@ -29,8 +29,6 @@ SIZE, SPP, TOGETHER, APART = 48, 512, 4, 12.0
 T = psdr.Transform
 INTEGRATOR = psdr.PathIntegrator(max_depth=8)
 KINDS = ("bsdf", "texture", "emitter")
-#: At infinity, or all around: alone in their scene.
-ALONE = ("constant", "envmap", "directional", "directionalarea", "sunsky")
 
 
 def _rgb(*values: float) -> dict:
@@ -164,7 +162,7 @@ def _cell(kind: str, name: str, x: float) -> dict:
         pose = T.translate([x, 0, 2.2]) @ T.rotate([1, 0, 0], 180) @ T.scale(0.9)
         return {**cell, "lamp": {"type": "rectangle", "to_world": pose, "emitter": plugin}}
     for key in ("to_world", "position"):
-        if key in plugin and name not in ALONE:
+        if key in plugin:
             plugin[key] = (
                 T.translate([x, 0, 0]) @ plugin[key] if key == "to_world" else np.add(plugin[key], [x, 0, 0]).tolist()
             )
@@ -195,9 +193,8 @@ def main() -> None:
     FOLDER.mkdir(exist_ok=True)
     for kind in arguments.kinds:
         names = [name for name in names_of(kind) if not arguments.only or name in arguments.only]
-        alone = [[name] for name in names if kind == "emitter" and name in ALONE]
-        others = [name for name in names if [name] not in alone]
-        for group in [*(others[i : i + TOGETHER] for i in range(0, len(others), TOGETHER)), *alone]:
+        together = 1 if kind == "emitter" else TOGETHER  # lights shine on their neighbours
+        for group in [names[i : i + together] for i in range(0, len(names), together)]:
             for name, image in render(kind, group):
                 image_io.write_image(FOLDER / f"{kind}_{name}.png", image)
                 print(f"{kind} {name}", flush=True)
