@@ -15,11 +15,7 @@ SIZE = 16
 
 
 @pytest.mark.parametrize("spp", [16, 128, 1000, 4096])
-@pytest.mark.parametrize(
-    "method",
-    [psdr.interior.Replay(), pytest.param(psdr.interior.Textbook(), marks=pytest.mark.slow)],
-    ids=["replay", "textbook"],
-)
+@pytest.mark.parametrize("method", [psdr.interior.Replay(), psdr.interior.Textbook()], ids=["replay", "textbook"])
 def test_a_radiance_seen_directly(spp, method) -> None:
     """A square that glows and fills the film: its image is its radiance, so the gradient is the sum of the adjoint."""
     scene = psdr.load_dict(
