@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 #: Kind of an item that is a voxel.
 VOXEL = 3
-#: Rounding of bounds, over their size, and sheets seen from their edges (``grid_points.py`` of the kernels).
-ROUNDING = 1.0e-4
+#: Rounding of bounds, over their size; above the angle of sheets seen from their edges (``edge_on.py`` of the kernels).
+ROUNDING = 1.0e-5
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,6 +14,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.guiding.slots import Slots
+from warp_psdr.kernels.boundary.silhouette.edge_on import EDGE_ON, is_beside
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import make_cell_sink
@@ -26,9 +27,6 @@ from warp_psdr.kernels.structs import Scene, Triangle
 VOXEL_ITEM = wp.constant(3)
 #: Slope inside of a face over that across it, below which a crease has no direction.
 LEVEL = 1.0e-6
-#: Angle up to which a sheet counts as seen from its edge: of its two ends each is a silhouette by a share, and the
-#: points between them are none. It is above rounding; sheets that far from a ray are met by rays that graze them.
-EDGE_ON = 2.0e-5
 
 
 @wp.struct
@@ -336,22 +334,17 @@ def touch_curvature(tri: Triangle, g: Grid, point: TouchPoint, w: wp.vec3) -> wp
 
 
 @wp.func
-def side_share(x: wp.float32) -> wp.float32:
-    """Share of a sheet at an angle x to a plane on its positive side."""
-    return wp.clamp(0.5 + wp.static(0.5 / EDGE_ON) * x, 0.0, 1.0)
-
-
-@wp.func
 def crease_side(point: TouchPoint, w: wp.vec3) -> wp.float32:
     """+1 or -1 if both sheets of a crease lie on that side of the plane with the normal ``along`` x w; else 0.
 
-    Where a sheet lies in the plane the two ends of it are silhouettes by half, and both at one place: shares in
-    between. Concave creases, which their own sheets hide, have no segments that touch them: 0.
+    Concave creases, which their own sheets hide, have no segments that touch them: 0.
     """
-    m = wp.normalize(wp.cross(point.along, w))
-    up = wp.dot(m, wp.normalize(point.up))
-    down = wp.dot(m, wp.normalize(point.down))
-    side = side_share(up) * side_share(down) - side_share(-up) * side_share(-down)
+    m = wp.cross(point.along, w)
+    side = wp.float32(0.0)
+    if is_beside(point.up, m, w) and is_beside(point.down, m, w):
+        side = 1.0
+    elif is_beside(point.up, -m, w) and is_beside(point.down, -m, w):
+        side = -1.0
     return wp.where(point.convex == 1, side, 0.0)
 
 

@@ -120,7 +120,6 @@ def make_primary_grid_kernel(
         d = (point.x - at.origin) / distance
         out = point.out
         curvature = wp.float32(0.0)
-        share = wp.float32(1.0)
         step = step_off_primitive(scene, tri)
         start = point.x
         if point.crease == 1:
@@ -134,8 +133,7 @@ def make_primary_grid_kernel(
                 side = crease_side(point, d)
                 if side == 0.0:
                     return
-                out = -wp.sign(side) * across
-                share = wp.abs(side)
+                out = -side * across
                 start += step * out
         else:
             curvature = curvature_of(tri, g, point, d)
@@ -187,7 +185,7 @@ def make_primary_grid_kernel(
                 return
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
-        scale = share * wp.float32(count) / (point.density * wp.float32(job.samples))
+        scale = wp.float32(count) / (point.density * wp.float32(job.samples))
         if wp.static(cubic):
             scale *= point.roots
         if wp.static(role != "forward"):

@@ -22,6 +22,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
     make_silhouette_sink,
     make_silhouettes,
 )
+from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
@@ -165,11 +166,14 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         apart = BESIDE * step
         if wp.static(neighbour is not None):
             if joined:
-                slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
-                both = wp.dot(point.out, neighbour.into(scene, item, point.x)) >= 0.0
-                sine = neighbour.corner(scene, item, point, d)
-                if sine > 0.0:
-                    apart = step * wp.min(OFF / sine, MOST)
+                wall = neighbour.into(scene, item, point.x)
+                both = not is_beside(wall, -point.out, d)
+                from_its_edge = both != is_beside(wall, point.out, d)
+                if not from_its_edge:
+                    slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
+                    sine = neighbour.corner(scene, item, point, d)
+                    if sine > 0.0:
+                        apart = step * wp.min(OFF / sine, MOST)
         if wp.static(silhouettes is not None):
             if not rim:
                 curvature = silhouettes.curvature(tri, point.q, d)
