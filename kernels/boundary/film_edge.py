@@ -131,7 +131,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
         if sine <= 0.0:
             return r
         r.m = m / sine
-        r.side = interior_side(scene, edges, point, r.m)
+        r.side = interior_side(scene, edges, point, r.m, r.d)
         r.step = edge_step(scene, edges, point.edge)
         # Is the edge visible? Seen from just outside of a silhouette, or straight on.
         start = point.x - (r.step * r.side) * r.m - edge_behind(scene, r.step) * r.d

@@ -11,6 +11,7 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.invalid import finite
@@ -138,22 +139,23 @@ def one_side(above: wp.int32, below: wp.int32) -> wp.float32:
 
 
 @wp.func
-def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3) -> wp.float32:
-    """Return +1 or -1 if all faces of the edge lie on that side of the plane through the edge with normal m, else 0.
+def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3, w: wp.vec3) -> wp.float32:
+    """Return +1 or -1 if all faces of the edge lie on that side of the plane through edge and w, else 0.
 
+    m is normal to the plane. Of a face in the plane the edge that rays along w come to first counts (``edge_on.py``).
     The faces of a curve of intersection lie on both sides of every plane through it.
     """
     if edges.ends[point.edge, 0] < 0:
         return 0.0
-    above = wp.int32(0)
-    below = wp.int32(0)
+    along = wp.normalize(point.p1 - point.p0)
+    above = wp.bool(True)
+    below = wp.bool(True)
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-        tri = scene.triangles[edges.faces[i]]
-        if wp.dot(m, to_third(tri, point)) > 0.0:
-            above += 1
-        else:
-            below += 1
-    return one_side(above, below)
+        r = to_third(scene.triangles[edges.faces[i]], point)
+        r -= wp.dot(r, along) * along
+        above = above and is_beside(r, m, w)
+        below = below and is_beside(r, -m, w)
+    return wp.where(above, 1.0, wp.where(below, -1.0, 0.0))
 
 
 @wp.func

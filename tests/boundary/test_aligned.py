@@ -5,6 +5,7 @@ import pytest
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
 from .scenes import box, camera, diffuse, floor, mesh, register
+from .test_cameras import parallel
 from .test_table import moved
 
 OCCLUDER, LIGHT = "occluder.vertex_positions", "light.position"
@@ -29,12 +30,20 @@ def beside_lamp():
     return under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3))) | {"light": lamp}
 
 
+def seen(**view):
+    """A parallel camera in the planes of sides of a box, which the light is not in."""
+    lamp = {"type": "point", "position": [0.9, -0.6, 3.0], "intensity": {"type": "rgb", "value": [20.0, 20.0, 20.0]}}
+    return beside_lamp() | {"sensor": parallel(**view), "light": lamp}
+
+
 register({
     "box under the sun": lambda: under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3))),
     "turned box under the sun": lambda: under_sun(box((0.1, 0.1, 0.9), (0.4, 0.3, 0.2), diffuse(0.3), 0.4)),
     "box on the floor under the sun": lambda: under_sun(box((0.1, 0.1, 0.2), (0.4, 0.3, 0.2), diffuse(0.3))),
     "sheet under the sun": sheet,
     "box beside a lamp": beside_lamp,
+    "box seen along its sides": lambda: seen(origin=(0.1, -3.0, 2.5), target=(0.1, 0.0, 0.3), up=(0.3, 0.0, 1.0)),
+    "box seen from above": lambda: seen(origin=(0.0, 0.0, 4.0), target=(0.0, 0.0, 0.0), up=(0.3, 1.0, 0.0)),
 })  # fmt: skip
 ALONG = moved(0.0, 1.0, 0.0)
 
@@ -61,6 +70,8 @@ CASES = [
     Case("sheet under the sun", OCCLUDER, ALONG, 0.005, "slides", difference_spp=4096),
     Case("box beside a lamp", OCCLUDER, moved(0.0, 0.0, 1.0), 0.01, "rises"),
     Case("box beside a lamp", (OCCLUDER, LIGHT), moved(1.0, 0.0, 0.0), 0.02, "both slide"),
+    Case("box seen along its sides", OCCLUDER, moved(1.0, 0.4, 0.0), 0.005, "slides", difference_spp=4096),
+    Case("box seen from above", OCCLUDER, moved(1.0, 0.4, 0.0), 0.005, "slides", difference_spp=4096),
 ]
 
 

@@ -89,6 +89,44 @@ def test_creases_beside_a_silhouette_do_not_count_it_again(smooth: bool, depth: 
     assert np.linalg.norm(image - exact) < 0.01 * np.linalg.norm(exact)
 
 
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_half_of_a_box_seen_along_its_walls(angle: float) -> None:
+    """Orthographic, black before white: with halves a, b, c a (2 c cos + 2 b sin), by a and c, and by x the height.
+
+    Edges of a wall in the plane of rays are one behind the other; on either side of the box one of them counts.
+    """
+    a, b, c = 0.5, 0.3, 0.4
+    pose = psdr.Transform.look_at([0.0, -3.0 * np.cos(angle), 3.0 * np.sin(angle)], [0.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    scene = psdr.load_dict(
+        {
+            "type": "scene",
+            "sensor": {
+                "type": "orthographic",
+                "to_world": pose,
+                "film": {"type": "hdrfilm", "width": 10, "height": 10, "rfilter": {"type": "box"}},
+            },
+            "box": {
+                "type": "cube",
+                "to_world": psdr.Transform.scale([a, b, c]),
+                "bsdf": {"type": "diffuse", "reflectance": 0.0},
+            },
+            "sky": {"type": "constant", "radiance": 1.0},
+        }
+    )
+    params = psdr.traverse(scene)
+    params.requires_grad("box.to_world")
+    options = {"spp": 4096, "integrator": psdr.PathIntegrator(max_depth=1)}
+    height, end = 2.0 * (c * np.cos(angle) + b * np.sin(angle)), 2.0 * np.cos(angle)
+    for half, sign in ((slice(0, 5), -1.0), (slice(5, 10), 1.0)):
+        adjoint = np.zeros((10, 10, 3), np.float32)
+        adjoint[:, half] = -(0.2**2) / 3.0
+        params.zero_grad()
+        psdr.render_backward(scene, params, adjoint, **options)
+        g = params["box.to_world"].grad.numpy().reshape(4, 4)
+        found = [g[0, 0], g[2, 2], sign * g[0, 3]]
+        np.testing.assert_allclose(found, [height, a * end, height], rtol=0.03)
+
+
 @pytest.mark.slow
 def test_horizons_of_mirrors_seen_in_grazing_reflections_move_as_they_should() -> None:
     """A parallel camera that moves aside shifts its image: rows gain what enters at one end less what leaves.

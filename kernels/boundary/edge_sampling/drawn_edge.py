@@ -57,7 +57,7 @@ def make_drawn_edge(tree: bool, candidates: int):
         r.tangent = along / length
         m = wp.cross(r.tangent, r.w)
         r.sine = wp.length(m)
-        r.side = interior_side(scene, edges, point, m)
+        r.side = interior_side(scene, edges, point, m, r.w)
         r.density = trees.boost[chosen.edge] * mixture_density(lobes, r.w)
         r.scale = chosen.scale
         r.point = point

@@ -145,7 +145,7 @@ def edge_importance(
     at = whole_edge(scene, edges, edge)
     along = at.p1 - at.p0
     a = at.p0 - x
-    if interior_side(scene, edges, at, wp.cross(along, a)) == 0.0 or on_own_plane(scene, edges, edge, x):
+    if interior_side(scene, edges, at, wp.cross(along, a), a) == 0.0 or on_own_plane(scene, edges, edge, x):
         return 0.0
     return trees.boost[edge] * mixture_integral(lobes, a, along)
 

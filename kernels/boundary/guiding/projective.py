@@ -100,7 +100,7 @@ def silhouette_at(
             point.p1 = load_vec3(scene.values, scene.positions + 3 * edges.ends[edge, 1])
             s = nearest_fraction(point.p0, point.p1, o, d)
             w = wp.normalize((1.0 - s) * point.p0 + s * point.p1 - o)
-            if wp.dot(w, d) > best and interior_side(scene, edges, point, wp.cross(point.p1 - point.p0, w)) != 0.0:
+            if wp.dot(w, d) > best and interior_side(scene, edges, point, wp.cross(point.p1 - point.p0, w), w) != 0.0:
                 best = wp.dot(w, d)
                 r.edge = edge
                 r.s = s
