@@ -11,7 +11,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
+from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.invalid import finite
@@ -153,8 +153,8 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3, w: w
     for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
         r = to_third(scene.triangles[edges.faces[i]], point)
         r -= wp.dot(r, along) * along
-        above = above and is_beside(r, m, w)
-        below = below and is_beside(r, -m, w)
+        above = above and is_beside(r, m, w, EDGEWISE)
+        below = below and is_beside(r, -m, w, EDGEWISE)
     return wp.where(above, 1.0, wp.where(below, -1.0, 0.0))
 
 

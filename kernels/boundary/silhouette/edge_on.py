@@ -12,11 +12,14 @@ import warp as wp
 
 #: Sine of the angle up to which a sheet counts as seen from its edge: above rounding, and so small that rays in the
 #: plane, which start beside it, do not meet it.
-EDGE_ON = wp.constant(4.0e-6)
+EDGEWISE = wp.constant(1.0e-6)
 
 
 @wp.func
-def is_beside(sheet: wp.vec3, normal: wp.vec3, w: wp.vec3) -> wp.bool:
-    """Whether a sheet that goes away from an edge lies on the side of a normal of a plane that holds edge and w."""
-    slack = EDGE_ON * wp.length(sheet) * wp.length(normal)
+def is_beside(sheet: wp.vec3, normal: wp.vec3, w: wp.vec3, edge_on: wp.float32) -> wp.bool:
+    """Whether a sheet that goes away from an edge lies on the side of a normal of a plane that holds edge and w.
+
+    ``edge_on``: sine up to which it is seen from its edge.
+    """
+    slack = edge_on * wp.length(sheet) * wp.length(normal)
     return wp.dot(sheet, normal) > wp.where(wp.dot(sheet, w) > 0.0, -slack, slack)

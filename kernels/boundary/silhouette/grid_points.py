@@ -14,7 +14,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.guiding.slots import Slots
-from warp_psdr.kernels.boundary.silhouette.edge_on import EDGE_ON, is_beside
+from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import make_cell_sink
@@ -27,6 +27,8 @@ from warp_psdr.kernels.structs import Scene, Triangle
 VOXEL_ITEM = wp.constant(3)
 #: Slope inside of a face over that across it, below which a crease has no direction.
 LEVEL = 1.0e-6
+#: ``edge_on.py``'s sine for sheets of voxels, whose normals are differences of values.
+EDGEWISE_IN_GRIDS = 4.0e-6
 
 
 @wp.struct
@@ -330,7 +332,7 @@ def touch_curvature(tri: Triangle, g: Grid, point: TouchPoint, w: wp.vec3) -> wp
     along = wp.cw_mul(g.cells, from_axes(tri, w))
     curvature = wp.dot(along, bend_of(point.mixed, along)) / slope
     # A voxel is 1 / |along| long.
-    return wp.where(wp.abs(curvature) < EDGE_ON * wp.length(along), 0.0, curvature)
+    return wp.where(wp.abs(curvature) < wp.static(EDGEWISE_IN_GRIDS) * wp.length(along), 0.0, curvature)
 
 
 @wp.func
@@ -341,9 +343,10 @@ def crease_side(point: TouchPoint, w: wp.vec3) -> wp.float32:
     """
     m = wp.cross(point.along, w)
     side = wp.float32(0.0)
-    if is_beside(point.up, m, w) and is_beside(point.down, m, w):
+    edge_on = wp.static(EDGEWISE_IN_GRIDS)
+    if is_beside(point.up, m, w, edge_on) and is_beside(point.down, m, w, edge_on):
         side = 1.0
-    elif is_beside(point.up, -m, w) and is_beside(point.down, -m, w):
+    elif is_beside(point.up, -m, w, edge_on) and is_beside(point.down, -m, w, edge_on):
         side = -1.0
     return wp.where(point.convex == 1, side, 0.0)
 

@@ -22,7 +22,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
     make_silhouette_sink,
     make_silhouettes,
 )
-from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
+from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
@@ -167,8 +167,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         if wp.static(neighbour is not None):
             if joined:
                 wall = neighbour.into(scene, item, point.x)
-                both = not is_beside(wall, -point.out, d)
-                from_its_edge = both != is_beside(wall, point.out, d)
+                both = not is_beside(wall, -point.out, d, EDGEWISE)
+                from_its_edge = both != is_beside(wall, point.out, d, EDGEWISE)
                 if not from_its_edge:
                     slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
                     sine = neighbour.corner(scene, item, point, d)

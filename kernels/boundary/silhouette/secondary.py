@@ -34,7 +34,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
     make_silhouette_sink,
     make_silhouettes,
 )
-from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
+from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
@@ -245,7 +245,7 @@ def make_secondary_silhouette_kernel(
                 return
         if wp.static(neighbour is not None):
             if rim and item.neighbours[0] >= 0:
-                if not is_beside(neighbour.into(scene, item, point.x), -point.out, aim.w):
+                if not is_beside(neighbour.into(scene, item, point.x), -point.out, aim.w, EDGEWISE):
                     return
         s = segment_at(scene, moving, tri, point, rim, aim, found.share, job.max_depth == 2)
         if s.valid == 0:
