@@ -58,7 +58,7 @@ X = entry(0, 3)
 CASES = [
     Case("cubic mirror, close", BODY, X, 0.004, "x", 3, 64, 256, slow=False),
     Case("cubic mirror, close", GRID, all_values, 0.002, "all values", 3, 64, 256),
-    Case("cubic mirror, floor", BODY, X, 0.01, "x", 3, 384, 1024),
+    Case("cubic mirror, floor", BODY, X, 0.01, "x", 3, 576, 1536),
     Case("cubic mirror", BODY, X, 0.003, "x", 2, 256, 2048),
     Case("cubic mirror", GRID, all_values, 0.003, "all values", 2, 384, 2048),
     Case("cubic mirror", "lamp.vertex_positions", ALONG, 0.02, "lamp moves", 2, 128, 2048),
