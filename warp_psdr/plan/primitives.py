@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.scene.description import ShapeDescription
     from warp_psdr.scene.scene import Scene
 
 #: Methods of the interior term that know such shapes.
@@ -212,22 +213,33 @@ def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -
     return ""
 
 
+def _as_a_mirror(shape: ShapeDescription) -> str:
+    """Say why what moves is not followed through a shape that is a smooth mirror or glass; empty: it is, or is none."""
+    kind = KINDS[shape.primitive]
+    models = [model_of(b) for b in shape.bsdf.sides if model_of(b).has_delta]
+    if not models or kind in MIRRORS:
+        return ""
+    if kind not in POLISHED:
+        instead = "make it rough"
+        if kind == PRIMITIVE_SDFGRID:
+            instead = f"say 'interpolation': 'cubic', as normals jump between voxels, or {instead}"
+        return f"what moves is not followed through smooth mirrors and glass as {shape.path!r} is; {instead}"
+    other = next((m.plugin for m in models if m.has_smooth or m.has_null), "")
+    if not other:
+        return ""
+    instead = "give it a 'conductor' or a 'dielectric', or make it rough"
+    return f"what moves is not followed through the {other!r} of {shape.path!r}; {instead}"
+
+
 def _of_mirrors(scene: Scene) -> str:
     """Say which shape is not followed through smooth mirrors and glass; empty: all are."""
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
     for s in shapes:
         if KINDS[s.primitive] not in SHOWN:
             return f"what moves is not followed through smooth mirrors and glass beside {s.path!r}; make them rough"
-        models = [model_of(b) for b in s.bsdf.sides if model_of(b).has_delta]
-        if models and KINDS[s.primitive] not in MIRRORS:
-            if KINDS[s.primitive] not in POLISHED:
-                cubic = KINDS[s.primitive] == PRIMITIVE_SDFGRID
-                instead = "say 'interpolation': 'cubic', as normals jump between voxels, or " * cubic + "make it rough"
-                return f"what moves is not followed through smooth mirrors and glass as {s.path!r} is; {instead}"
-            other = next((m.plugin for m in models if m.has_smooth or m.has_null), "")
-            if other:
-                instead = "give it a 'conductor' or a 'dielectric', or make it rough"
-                return f"what moves is not followed through the {other!r} of {s.path!r}; {instead}"
+        reason = _as_a_mirror(s)
+        if reason:
+            return reason
         if s.grid is not None and s.grid.smooth:
             turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
             curves = "curves that are not followed through smooth mirrors and glass"
