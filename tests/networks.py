@@ -58,6 +58,19 @@ def neck(x: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
+def bowl(radius: float = 0.3, scale: float = 4.0) -> Net:
+    """Return a network of one layer of eight neurons, in pairs that face each other: nearly a ball, and cheap."""
+    axes = np.array([[1.0, 0.1, 0.0], [-0.1, 1.0, 0.15], [0.0, -0.15, 1.0], [0.4, 0.4, 0.4]])
+    weight = np.float32(np.concatenate([axes, -axes])).astype(float)
+    bias = np.float32(-0.5 * weight.sum(axis=1)).astype(float)
+    first, last = (weight, bias), np.ones((1, len(weight)))
+    around = np.random.default_rng(0).standard_normal((4000, 3))
+    around *= radius / np.linalg.norm(around, axis=1, keepdims=True)
+    level = Net([first, (last, np.zeros(1))], 0, False, scale).phi(0.5 + around).mean()
+    return Net([first, (last, np.float32([-level]).astype(float))], 0, False, scale)
+
+
+@functools.cache
 def fitted(
     target: Callable = blob,
     widths: tuple[int, ...] = (32, 32),

@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from .measure import MODES, Case, assert_agrees, derivatives, differences, rows
+import warp_psdr as psdr
+from tests.networks import bowl
+
+from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .mirrors import GLASS, MIRROR, point, wall
-from .scenes import T, box, camera, diffuse, mesh, panel, register, sky
+from .scenes import T, box, camera, diffuse, load, mesh, panel, register, sky
 from .test_exact_sphere import entry, radius
+from .test_neuralsdf import at_random
 from .test_sdfgrid import all_values, values
 from .test_sdfgrid_cubic import neck
 from .test_tubes import coordinate
@@ -93,8 +97,25 @@ def tube(kind="bsplinecurve"):
     return {"type": kind, "control_points": np.float32(along + np.array([*PLACE, 0.0])), "bsdf": BROWN}
 
 
+def network():
+    """A dark ball under a sky: nothing but its outline moves."""
+    pose = T.translate([x - 0.4 for x in PLACE]).scale(0.8)
+    return {"sky": sky(0.5), "body": bowl().plugin(to_world=pose, bsdf=diffuse(0.1, 0.2, 0.3))}
+
+
+def network_in_a_mirror():
+    return {"sensor": camera((0.0, -1.0, 0.8), (0.0, 1.0, 0.8), fov=14.0), "mirror": wall(0.8, -0.5, 0.08), **network()}
+
+
+def network_behind_glass():
+    view = camera((0.0, -1.0, 0.8), (0.0, -2.6, 0.8), fov=14.0)
+    return {"sensor": view, "pane": box((0.0, -1.7, 0.8), (0.4, 0.05, 0.4), GLASS, 0.3), **network()}
+
+
 register(
     {
+        "network in a mirror": network_in_a_mirror,
+        "network behind glass": network_behind_glass,
         "tube in a mirror": lambda: shown(tube()),
         "cones in a mirror": lambda: shown(tube("linearcurve")),
         "disk in a mirror": lambda: shown(plate()),
@@ -120,6 +141,9 @@ CASES = [
     Case("disk in a mirror", BODY, X, 0.004, "x", 3, 4096, 32768),
     Case("linear grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),
     Case("cubic grid in a mirror", BODY, X, 0.004, "x", 3, 1024, 32768),
+    Case("network in a mirror", BODY, Z, 0.004, "z", 3, 128, 512),
+    Case("network in a mirror", "body.layer0.weight", at_random, 0.01, "weights", 3, 128, 512),
+    Case("network behind glass", BODY, X, 0.004, "x", 4, 224, 2048),
 ]
 
 
@@ -128,3 +152,14 @@ CASES = [
 @pytest.mark.parametrize("case", rows(CASES))
 def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     assert_agrees(derivatives(case, mode), differences(case)[2])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "before", "depth"), [("network in a mirror", "mirror", 3), ("network behind glass", "pane", 4)]
+)
+def test_the_modes_are_transposes_of_each_other(name: str, before: str, depth: int) -> None:
+    scene, params = load(name)
+    layers = ["body.layer0.weight", "body.layer0.bias", "body.layer1.weight", "body.layer1.bias"]
+    options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": 4, "seed": 3}
+    assert_transposes(scene, params, [BODY, *layers, f"{before}.vertex_positions"], options)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS, PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
-from warp_psdr.kernels.primitive.dispatch import CURVES, GRIDS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
@@ -34,8 +33,6 @@ if TYPE_CHECKING:
 
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
-#: Kinds of shapes that are followed through smooth mirrors and glass beside them.
-SHOWN = (*EXACT.values(), *GRIDS, *CURVES)
 #: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
 MIRRORS = tuple(EXACT.values())
 POLISHED = (PRIMITIVE_SDFGRID_CUBIC,)
@@ -235,8 +232,6 @@ def _of_mirrors(scene: Scene) -> str:
     """Say which shape is not followed through smooth mirrors and glass; empty: all are."""
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
     for s in shapes:
-        if KINDS[s.primitive] not in SHOWN:
-            return f"what moves is not followed through smooth mirrors and glass beside {s.path!r}; make them rough"
         reason = _as_a_mirror(s)
         if reason:
             return reason
