@@ -11,10 +11,10 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.distribution import find_interval_64
-from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.step import passing_step
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -30,8 +30,6 @@ START_BEHIND_LEAST = 4.0
 ON_PLANE, NEAR = 0.5, 2000.0
 #: Cosine between the normals of two triangles above which one continues the other in its plane.
 IN_PLANE = 0.9999
-#: Numbers a sample that role "samples" records: x_b, the edge from its first to its second end, and the adjoint of x_b.
-SAMPLE_RECORD = 9
 #: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
 PARALLEL = 1.0e-5
 
@@ -268,8 +266,8 @@ def make_edge_sink(role: str):
     curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them. The
     same holds where they run through each other, with v_A and v_B those of the material points at the curve.
 
-    Role "samples": ``target`` holds SAMPLE_RECORD numbers a sample instead; g is added up over a sample's pushes.
-    What is returned is not 0 if g was dropped because it is not finite.
+    Role "samples": ``target`` holds a record a sample instead (``pull_record.py``). What is returned is not 0 if g was
+    dropped because it is not finite.
     """
     if role == "samples":
 
@@ -277,14 +275,7 @@ def make_edge_sink(role: str):
         def record(
             scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
         ) -> wp.float32:
-            if not finite(g):
-                return wp.float32(1.0)
-            first = SAMPLE_RECORD * point.sample
-            for i in range(3):
-                target[first + i] = point.x[i]
-                target[first + 3 + i] = point.p1[i] - point.p0[i]
-                target[first + 6 + i] += g[i]
-            return wp.float32(0.0)
+            return record_pull(target, point.sample, point.x, point.p1 - point.p0, g)
 
         return record
     sink3 = make_sink_vec3(role)

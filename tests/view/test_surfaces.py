@@ -1,4 +1,6 @@
-"""Shapes without triangles that the viewer draws: where their triangles are, and gradients by grids on them."""
+"""Shapes without triangles that the viewer draws: where their triangles are, and gradients by what defines them."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -7,7 +9,7 @@ from PIL import Image
 import warp_psdr as psdr
 from tests.networks import fitted, sphere
 from tests.path.test_sdfgrid import nodes
-from warp_psdr.view.surfaces import grid_field, surface_of
+from warp_psdr.view.surfaces import grid_field, own_fields, surface_of
 
 T = psdr.Transform
 POSE = T.translate([0.1, -0.2, 0.3]).rotate([1, 2, 0], 30.0).scale([1.5, 1.2, -1.4])
@@ -100,3 +102,40 @@ def test_pictures(tmp_path) -> None:
     assert warm.sum() > 100 and cold.sum() > 100
     middle = [np.argwhere(where)[:, 1].mean() for where in (warm[:150], cold[:150])]
     assert middle[0] > middle[1], "x grows to the right"
+
+
+@pytest.mark.parametrize("kind", SHAPES)
+def test_a_step_along_a_gradient_by_a_pose_moves_the_surface(kind: str) -> None:
+    scene = loaded(**SHAPES[kind], to_world=POSE)
+    shape, step = scene.description.shapes[0], 1e-3
+    gradient = np.arange(16.0).reshape(4, 4) / 16.0
+    gradient[3] = 0.0
+    surface = surface_of({}, shape)
+    size, drawn = own_fields({}, shape, surface)["body.to_world"]
+    assert size == (4, 4)
+    field, motion, normals = drawn(gradient)
+    moved, _faces, _texcoords = surface_of({"body.to_world": POSE.matrix + step * gradient}, shape)
+    np.testing.assert_allclose((moved - surface[0]) / step, motion, atol=2e-3)
+    np.testing.assert_allclose(field.values, (motion * normals).sum(axis=1))
+
+
+def test_a_step_along_a_gradient_by_the_weights_of_a_network_moves_the_surface() -> None:
+    scene = loaded(**SHAPES["network"], to_world=POSE)
+    shape, step = scene.description.shapes[0], 1e-3
+    surface = surface_of({}, shape)
+    fields = own_fields({}, shape, surface)
+    rng, to_box = np.random.default_rng(2), np.linalg.inv(POSE.matrix[:3, :3])
+    for name, held in (("layer1.weight", NET.layers[1][0]), ("layer2.bias", NET.layers[2][1])):
+        gradient = rng.normal(size=held.shape)
+        field, vectors, normals = fields[f"body.{name}"][1](gradient)
+        assert vectors is None and np.abs(field.values).max() > 0.1
+        changed = [list(layer) for layer in NET.layers]
+        changed[int(name[5])][name.endswith("bias")] = held + step * gradient
+        net = replace(NET, layers=[tuple(layer) for layer in changed])
+        # The field of the network after the step, where the motion leads, is what it was before.
+        q, there = (
+            (x - POSE.matrix[:3, 3]) @ to_box.T
+            for x in (field.vertices, field.vertices + step * field.values[:, None] * normals)
+        )
+        change = net.phi(there) - NET.phi(q)
+        assert np.abs(change).max() < 0.05 * np.abs(net.phi(q) - NET.phi(q)).max()

@@ -1,4 +1,4 @@
-"""What the boundary term does on edges, as plain arrays: its samples, and how densely edges are sampled.
+"""What the boundary term does on edges and outlines, as plain arrays: its samples, and how densely edges are sampled.
 
 For pictures, and to see what an estimator spends its samples on; ``draw_samples`` and ``draw_density`` draw them with
 pyvista.
@@ -14,11 +14,11 @@ import warp as wp
 
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.drivers import launch_samples
-from warp_psdr.estimate.boundary.terms import Request, launches, named
+from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
 from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.passes import STREAM_BOUNDARY
 from warp_psdr.invalid import warns
-from warp_psdr.kernels.boundary.local_form import SAMPLE_RECORD
+from warp_psdr.kernels.boundary.pull_record import SAMPLE_RECORD
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import EdgeSampling, PathSpace
 from warp_psdr.options.integrator import Integrator
@@ -35,6 +35,11 @@ if TYPE_CHECKING:
 
 __all__ = ["EdgeDensity", "EdgeSamples", "boundary_samples", "draw_density", "draw_samples", "edge_density"]
 
+#: Terms of edges with two ends; what the others record is a tangent.
+OF_EDGES = ("primary", "flat_creases", "secondary")
+#: Length of the piece of an outline that stands in for an edge, over the diagonal of the box around the points.
+PIECE = 0.05
+
 
 @dataclass(frozen=True, eq=False)
 class EdgeSamples:
@@ -42,10 +47,11 @@ class EdgeSamples:
 
     Attributes:
         points: (K, 3) x_b, world units.
-        edges: (K, 3) the edge that x_b lies on, from its first to its second end.
+        edges: (K, 3) the edge that x_b lies on, from its first to its second end; of shapes without triangles a piece
+            of the tangent of the outline or crease, ``PIECE`` of the size of what the samples of its kind span.
         pulls: (K, 3) derivative of ``sum(adjoint * image)`` by x_b that the sample stands for; its share of the pass's
             estimate, so that sums over samples are gradients.
-        kinds: (K,) "primary": an edge that the camera sees; "secondary": a shadow's edge or its like.
+        kinds: (K,) "primary": an edge or outline that the camera sees; "secondary": a shadow's edge or its like.
     """
 
     points: np.ndarray
@@ -90,9 +96,10 @@ def boundary_samples(
 ) -> EdgeSamples:
     """Return the samples with which ``psdr.render_backward`` estimates the boundary term of equal arguments.
 
-    Of a sample only its pull at the edge point is kept; those at the two ends of its segment are not. Curves along
-    which surfaces run through each other count where the camera sees them; their shadows' samples are left out, and so
-    are those seen through mirrors and glass and those of interpolated normals.
+    Edges of meshes count, and silhouettes, rims and creases of exact shapes, grids, networks and curves. Of a sample
+    only its pull at x_b is kept; those at the two ends of its segment are not. Curves along which meshes run through
+    each other count where the camera sees them; samples of their shadows and of curves in which other shapes cut each
+    other are left out, and so are those seen through mirrors and glass and those of interpolated normals.
 
     Args:
         scene: a loaded scene.
@@ -132,16 +139,25 @@ def boundary_samples(
     stream = mix_seed(seed, STREAM_BOUNDARY)
     request = Request(scene, plan, motion(scene, names), "samples", number, spp, stream)
     records, kinds = [np.zeros((0, SAMPLE_RECORD), np.float32)], []
-    for kind, name in (("primary", "primary"), ("primary", "flat_creases"), ("secondary", "secondary")):
-        for term in launches(named(name), request):
-            target = wp.zeros(SAMPLE_RECORD * term.samples, dtype=wp.float32, device=scene.device)
-            launch_samples(scene, term, weights, target)
-            found = target.numpy().reshape(-1, SAMPLE_RECORD)
-            found = found[(found[:, 6:] != 0.0).any(axis=1)]
-            records.append(found)
-            kinds += [kind] * len(found)
+    recorded = [term for term in TERMS[PathSpace] if term.recorded]
+    found = [(term, launched) for term in recorded for launched in launches(term, request)]
+    for term, launched in found:
+        target = wp.zeros(SAMPLE_RECORD * launched.samples, dtype=wp.float32, device=scene.device)
+        launch_samples(scene, launched, weights, target)
+        rows = target.numpy().reshape(-1, SAMPLE_RECORD)
+        rows = rows[(rows[:, 6:] != 0.0).any(axis=1)]
+        if term.name not in OF_EDGES and len(rows):
+            rows[:, 3:6] = _pieces(rows[:, :3], rows[:, 3:6])
+        records.append(rows)
+        kinds += [term.recorded] * len(rows)
     rows = np.concatenate(records)
     return EdgeSamples(rows[:, :3], rows[:, 3:6], rows[:, 6:], np.array(kinds, dtype="<U9"))
+
+
+def _pieces(points: np.ndarray, tangents: np.ndarray) -> np.ndarray:
+    """Return tangents (K, 3) of outlines, of the length of ``PIECE`` of the box around their points."""
+    length = np.maximum(np.linalg.norm(tangents, axis=1, keepdims=True), np.finfo(np.float32).tiny)
+    return PIECE * np.linalg.norm(np.ptp(points, axis=0)) * tangents / length
 
 
 @warns

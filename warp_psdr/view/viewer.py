@@ -31,14 +31,10 @@ from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh
 from warp_psdr.view.panels import arrangement, draw_labels
 from warp_psdr.view.surfaces import (
     Surface,
-    control_points,
-    grid_field,
-    grid_values,
-    pose_now,
+    own_fields,
     surface_of,
     value_now,
 )
-from warp_psdr.view.tubes import tube_field
 from warp_psdr.view.volume_fields import volume_field, volumes_of
 from warp_psdr.view.vtk_window import open_plotter
 
@@ -80,7 +76,8 @@ def view(
 
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
     vertex normal, control points of curves on their tubes, values of grids of signed distances on their surface (how
-    the value grows as it moves outwards); textures through their texture coordinates; attributes,
+    the value grows as it moves outwards), poses of shapes and weights of networks as the motion of their surface in a
+    step along the gradient; textures through their texture coordinates; attributes,
     constants and the two texture coordinates as colours; coefficients of media on the shapes that bound them, voxels as
     their sums along each axis, on planes through the middle of their box; environment maps on a sphere around the
     scene, seen from outside in two panels, towards and against the camera's direction. Parameters of one kind, such as
@@ -226,20 +223,10 @@ def _panels(
                 normals = vertex_normals(vertices, faces) * (-1.0 if shape.flip_normals else 1.0)
                 field = mesh_field(vertices, faces, vectors, vectors=True, normals=normals)
                 add(name, shape.path, field, vectors, normals)
-        name = f"{shape.path}.control_points"
-        if shape.curves is not None:
+        for name, (size, drawn) in own_fields(values, shape, (vertices, faces, texcoords)).items():
             drawable.add(name)
             if name in arrays:
-                array = _reshaped(name, arrays[name], shape.curves.points.shape)
-                points, placed = control_points(values, shape), pose_now(values, shape)
-                add(name, shape.path, *tube_field(shape.curves, points, placed, array))
-        name = f"{shape.path}.grid"
-        if shape.grid is not None:
-            drawable.add(name)
-            if name in arrays:
-                array = _reshaped(name, arrays[name], grid_values(values, shape).shape)
-                field, normals = grid_field(vertices, faces, pose_now(values, shape), array)
-                add(name, shape.path, field, None, normals)
+                add(name, shape.path, *drawn(_reshaped(name, arrays[name], size)))
         name = f"{shape.path}.vertex_texcoords"
         if shape.texcoords is not None:
             drawable.add(name)

@@ -6,6 +6,7 @@ Points on shapes of all kinds end here, each with the sink of its own.
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -21,10 +22,12 @@ def make_delivery(
     pull_source: wp.Function | None,
     write_ends: wp.Function | None,
 ) -> wp.Function:
-    """Return ``deliver(scene, camera, sampler, number, job, point, s, target, image_out)``.
+    """Return ``deliver(scene, camera, sampler, number, job, point, along, s, target, image_out)``.
+
+    ``along``: the tangent of the silhouette at the point, which role "samples" records.
 
     Args:
-        role: "reverse", "forward"; of a guide "target", what sample ``number`` carries, or "ends".
+        role: "reverse", "forward", "samples"; of a guide "target", what sample ``number`` carries, or "ends".
         point_type: struct of the point on the silhouette.
         transport: light from behind the segment to the film; not of "ends".
         pull_point: ``(scene, target, point, adjoint of its position) -> dot``; as the next one not of a guide.
@@ -48,6 +51,7 @@ def make_delivery(
         number: wp.int32,
         job: SampleJob,
         point: point_type,
+        along: wp.vec3,
         s: Segment,
         target: wp.array(dtype=wp.float32),
         image_out: wp.array2d(dtype=wp.vec3),
@@ -64,7 +68,10 @@ def make_delivery(
                 target[number] = weight
             elif wp.static(role != "forward"):
                 if weight != 0.0:
-                    if accumulate(scene, target, point, s, weight) != 0.0:
+                    dropped = accumulate(scene, target, point, s, weight)
+                    if wp.static(role == "samples"):
+                        dropped += record_pull(target, number, point.x, along, weight * s.boundary_normal)
+                    if dropped != 0.0:
                         count_invalid(scene, sampler)
 
     return deliver

@@ -16,6 +16,7 @@ from warp_psdr.kernels.boundary.detector import Incident, difference, make_incid
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.path_space.direction import pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
@@ -33,7 +34,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, make_outline, own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.network_points import network_surface_point
 from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
@@ -68,6 +69,7 @@ def make_foreground_grid_kernel(
     record_of = network_of if network else grid_of
     smooth_surface_point = network_surface_point if network else spline_surface_point
     curvature_of = spline_curvature if cubic else touch_curvature
+    outline_at = make_outline(cubic) if role == "samples" else None
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     incident = make_incident(config)
 
@@ -222,7 +224,11 @@ def make_foreground_grid_kernel(
         weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
         if wp.static(role != "forward"):
             if weight != 0.0:
-                if accumulate(scene, target, point, s, weight) != 0.0:
+                dropped = accumulate(scene, target, point, s, weight)
+                if wp.static(role == "samples"):
+                    tangent = outline_at(tri, g, point, s.w)
+                    dropped += record_pull(target, number, point.x, tangent, weight * s.boundary_normal)
+                if dropped != 0.0:
                     count_invalid(scene, sampler)
 
     return foreground_grid

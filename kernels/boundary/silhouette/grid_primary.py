@@ -16,6 +16,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
@@ -192,6 +193,8 @@ def make_primary_grid_kernel(
             scale *= wp.dot(weight, jump)
         a = scale * a
         speed = accumulate_touch(scene, target, point, a)
+        if wp.static(role == "samples"):
+            speed += record_pull(target, number, point.x, point.along, a)
         if wp.static(camera_moves):
             speed += accumulate_camera(scene, target, camera, at.sample, -a, -distance * a)
         if wp.static(role == "forward"):

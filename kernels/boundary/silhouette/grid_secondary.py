@@ -103,6 +103,20 @@ def own_direction(point: TouchPoint, u: wp.vec2) -> wp.vec3:
 
 
 @functools.cache
+def make_outline(cubic: bool):
+    """Return ``outline_at(tri, g, point, w) -> vec3``: tangent of a crease, or of the silhouette rays along w see."""
+    direction_of = spline_direction if cubic else curve_direction
+
+    @wp.func
+    def outline_at(tri: Triangle, g: Grid, point: TouchPoint, w: wp.vec3) -> wp.vec3:
+        if point.crease == 1:
+            return point.along
+        return from_voxels(tri, g, direction_of(point, eye_in_voxels(tri, g, w, True), True))
+
+    return outline_at
+
+
+@functools.cache
 def make_touching_segment(config: PathConfig, cubic: bool = False):
     """Return ``segment(scene, moving, found, tri, g, n, point, aim, direct) -> Segment``; n is the item's place.
 
@@ -203,6 +217,7 @@ def make_secondary_grid_kernel(
     cube = make_cube(evaluates) if in_cube else None
     write_ends = make_ends(config.primitives) if role == "ends" else None
     segment_at = make_touching_segment(config, cubic)
+    outline_at = make_outline(cubic) if role == "samples" else None
     accumulate_touch = None if evaluates else make_touch_sink(role, cubic, network)
     record_of = network_of if network else grid_of
     smooth_curve_point = network_curve_point if network else spline_curve_point
@@ -309,6 +324,9 @@ def make_secondary_grid_kernel(
             s.scale *= factor
         if wp.static(cubic):
             s.scale *= point.roots
-        deliver(scene, camera, sampler, number, job, point, s, target, image_out)
+        tangent = point.along
+        if wp.static(role == "samples"):
+            tangent = outline_at(tri, g, point, s.w)
+        deliver(scene, camera, sampler, number, job, point, tangent, s, target, image_out)
 
     return secondary_grid

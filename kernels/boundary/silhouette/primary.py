@@ -15,6 +15,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
     OutlineItem,
     choose_outline,
@@ -217,6 +218,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             scale *= wp.dot(weight, jump)
         g = scale * g
         speed = accumulate_silhouette(scene, target, point, g)
+        if wp.static(role == "samples"):
+            speed += record_pull(target, number, point.x, turn, g)
         if wp.static(camera_moves):
             speed += accumulate_camera(scene, target, camera, at.sample, -g, -distance * g)
         if wp.static(role == "forward"):

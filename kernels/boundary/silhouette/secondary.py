@@ -169,6 +169,16 @@ def make_secondary_silhouette_kernel(
 
     deliver = make_delivery(role, SilhouettePoint, transport, accumulate_silhouette, accumulate_source, write_ends)
 
+    @wp.func
+    def outline_at(tri: Triangle, rim: wp.bool, q: wp.vec3, w: wp.vec3) -> wp.vec3:
+        """Tangent of a rim, or of the silhouette that rays along w see."""
+        if wp.static(rims is not None):
+            if rim:
+                return rims.rate(tri, q)
+        if wp.static(silhouettes is not None):
+            return silhouettes.rate(tri, w, True, q)
+        return w
+
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def secondary_silhouette(
         # Scene:
@@ -258,6 +268,9 @@ def make_secondary_silhouette_kernel(
             s.scale *= wp.float32(found.items.shape[0]) / wp.float32(job.samples)
         if wp.static(in_cube):
             s.scale *= at.weight
-        deliver(scene, camera, sampler, number, job, point, s, target, image_out)
+        tangent = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(role == "samples"):
+            tangent = outline_at(tri, rim, point.q, s.w)
+        deliver(scene, camera, sampler, number, job, point, tangent, s, target, image_out)
 
     return secondary_silhouette

@@ -16,6 +16,7 @@ from warp_psdr.kernels.boundary.detector import Incident, difference, make_incid
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, WIDER
@@ -30,6 +31,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     in_front,
     tube_coordinates,
     tube_curvature,
+    tube_outline,
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import own_touch, own_touch_density
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
@@ -175,7 +177,11 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
         weight = transport(scene, camera, sampler, s, s.scale, rest, job, target, image_out)
         if wp.static(role != "forward"):
             if weight != 0.0:
-                if accumulate(scene, target, point, s, weight) != 0.0:
+                dropped = accumulate(scene, target, point, s, weight)
+                if wp.static(role == "samples"):
+                    tangent = tube_outline(point, s.w)
+                    dropped += record_pull(target, number, point.x, tangent, weight * s.boundary_normal)
+                if dropped != 0.0:
                     count_invalid(scene, sampler)
 
     return foreground_tube

@@ -279,6 +279,14 @@ def with_rate(point: TubePoint, eye: wp.vec3, distant: wp.bool) -> TubePoint:
 
 
 @wp.func
+def tube_outline(point: TubePoint, w: wp.vec3) -> wp.vec3:
+    """Tangent of a rim or a crease, or of the silhouette that rays along w see."""
+    if point.rim == 1 or point.part == PART_CREASE:
+        return point.rate
+    return wp.cross(point.gradient, tube_bend(point.f, point.e, point.free, w))
+
+
+@wp.func
 def tube_axis(f: TubeFrame) -> wp.vec3:
     return wp.normalize(f.c1)
 

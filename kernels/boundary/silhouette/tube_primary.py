@@ -14,6 +14,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.forwards import make_hidden
+from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, WIDER, make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
@@ -144,6 +145,8 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
             scale *= wp.dot(weight, jump)
         a = scale * a
         speed = accumulate_tube(scene, target, point, a)
+        if wp.static(role == "samples"):
+            speed += record_pull(target, number, point.x, point.rate, a)
         if wp.static(camera_moves):
             speed += accumulate_camera(scene, target, camera, at.sample, -a, -distance * a)
         if wp.static(role == "forward"):

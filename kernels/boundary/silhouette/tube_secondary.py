@@ -35,6 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     in_front,
     tube_coordinates,
     tube_curvature,
+    tube_outline,
     tube_seen,
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import (
@@ -219,6 +220,9 @@ def make_secondary_tube_kernel(
             s.scale /= wp.float32(job.samples)
         if wp.static(guided):
             s.scale *= factor
-        deliver(scene, camera, sampler, number, job, point, s, target, image_out)
+        tangent = point.rate
+        if wp.static(role == "samples"):
+            tangent = tube_outline(point, s.w)
+        deliver(scene, camera, sampler, number, job, point, tangent, s, target, image_out)
 
     return secondary_tube

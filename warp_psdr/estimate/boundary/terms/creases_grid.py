@@ -40,4 +40,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     exact=True,
+    recorded="primary",
 )

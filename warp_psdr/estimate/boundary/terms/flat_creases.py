@@ -37,4 +37,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     timed=True,
+    recorded="primary",
 )

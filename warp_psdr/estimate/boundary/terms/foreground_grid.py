@@ -69,4 +69,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="both",
+    recorded="secondary",
 )

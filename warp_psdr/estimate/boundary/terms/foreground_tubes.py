@@ -41,4 +41,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="smooth",
+    recorded="secondary",
 )

@@ -34,4 +34,5 @@ TERM = BoundaryTerm(
     exact=True,
     timed=True,
     media=True,
+    recorded="primary",
 )

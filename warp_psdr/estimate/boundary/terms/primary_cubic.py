@@ -27,4 +27,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="smooth",
+    recorded="primary",
 )

@@ -55,4 +55,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="both",
+    recorded="primary",
 )

@@ -34,4 +34,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="smooth",
+    recorded="primary",
 )

@@ -35,4 +35,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="smooth",
+    recorded="primary",
 )

@@ -43,4 +43,5 @@ TERM = BoundaryTerm(
     applies=applies,
     exact=True,
     part="smooth",
+    recorded="primary",
 )

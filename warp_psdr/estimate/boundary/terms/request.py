@@ -151,6 +151,7 @@ class BoundaryTerm:
         timed: it knows the bins of transient films.
         part: of the boundary term that it belongs to (``parts``): "smooth", "edges", or "both" ("creases" of the
             request tells the two apart).
+        recorded: as what it is known to role "samples": "primary" or "secondary"; "": its samples are not recorded.
     """
 
     name: str
@@ -166,6 +167,7 @@ class BoundaryTerm:
     media: bool = False
     timed: bool = False
     part: str = "edges"
+    recorded: str = ""
 
 
 def term_of(

@@ -29,4 +29,5 @@ TERM = BoundaryTerm(
     guided=True,
     exact=True,
     part="smooth",
+    recorded="secondary",
 )

@@ -88,4 +88,5 @@ TERM = BoundaryTerm(
     guided=True,
     exact=True,
     part="both",
+    recorded="secondary",
 )

@@ -33,4 +33,5 @@ TERM = BoundaryTerm(
     guided=True,
     exact=True,
     part="smooth",
+    recorded="secondary",
 )

@@ -52,4 +52,5 @@ TERM = BoundaryTerm(
     guided=True,
     exact=True,
     part="smooth",
+    recorded="secondary",
 )

@@ -20,4 +20,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=foreground_grid.applies,
     exact=True,
+    recorded="secondary",
 )
