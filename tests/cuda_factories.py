@@ -361,13 +361,22 @@ FACTORIES = {
         ("grids of distances", (DISTANCES_LIGHTS, "reverse", True, True), SLOW),
     ],
     "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
-    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [*SHADED, SMOOTH, NEURAL],
+    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [
+        *SHADED,
+        SMOOTH,
+        NEURAL,
+        ("samples", (DISTANCES, "samples", False), SLOW),
+    ],
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
         *SHADED,
+        ("samples", (DISTANCES, "samples", False, False), SLOW),
         ("cubic", (CUBIC, "reverse", True, True, False, False, True), SLOW),
         ("networks", (CUBIC, "reverse", True, True, False, False, True, True), SLOW),
     ],
-    "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
+    "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [
+        ("curves", (CURVES, "reverse", True), SLOW),
+        ("samples", (CURVES, "samples", False), SLOW),
+    ],
     "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
         ("curves", (CURVES, "reverse", True, False), SLOW)
@@ -398,6 +407,7 @@ FACTORIES = {
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),
+        ("samples", (EXACT, "samples", False, False), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, False, True), SLOW),
         ("guided", (EXACT_LIGHTS, "reverse", False, True, True), SLOW),
         ("target", (EXACT_LIGHTS, "target", False, False), SLOW),
