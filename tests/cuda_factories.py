@@ -200,6 +200,12 @@ FACTORIES = {
         ("lights", (ALL_LIGHTS, still(ALL_LIGHTS)), SLOW),
         ("materials", (MATERIALS, everything(MATERIALS, radiance=True)), SLOW),
     ],
+    "interior.light_motion_replay.make_light_motion_kernel": [
+        ("materials", (MATERIALS, everything(MATERIALS, shapes=True, bends=True), 4), SLOW),
+    ],
+    "interior.light_motion_replay.make_light_motion_forward_kernel": [
+        ("lights", (ALL_LIGHTS, everything(ALL_LIGHTS, shapes=True), 4), SLOW),
+    ],
     "light_tracing.make_light_image_kernel": [
         ("simple", (SIMPLE,), SLOW),
         ("caustics", (CAUSTICS,), SLOW),

@@ -28,6 +28,10 @@ from warp_psdr.estimate.passes import (
 )
 from warp_psdr.kernels.connection import make_connected_image_kernel
 from warp_psdr.kernels.interior.connected import make_connected_kernel
+from warp_psdr.kernels.interior.light_motion_replay import (
+    make_light_motion_forward_kernel,
+    make_light_motion_kernel,
+)
 from warp_psdr.kernels.interior.light_tracing import make_light_forward_kernel, make_light_replay_kernel
 from warp_psdr.kernels.light_ray import COVER
 from warp_psdr.kernels.light_tracing import add_splats, collect_splats, make_light_image_kernel
@@ -170,6 +174,9 @@ def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
         return []
     assert plan.wanted is not None and plan.kept is not None
     paths, kept = plan.light.paths, plan.light.kept or plan.kept
+    if plan.light.moves:
+        make = make_light_motion_forward_kernel if role == "forward" else make_light_motion_kernel
+        return [make(paths, plan.wanted, kept.longest)]
     found = [make_connected_kernel(paths, plan.wanted, role)] if connected(plan) else []
     if role == "forward":
         return [*found, make_light_forward_kernel(paths, plan.wanted)]

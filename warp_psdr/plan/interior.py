@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import TYPE_CHECKING
 
 import warp as wp
@@ -49,7 +48,7 @@ from warp_psdr.plan.branches import (
     refused_in_path_order,
 )
 from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_on_the_film, sees_a_room
-from warp_psdr.plan.light import refused_with_light_paths
+from warp_psdr.plan.light import refused_by_bidirectional
 from warp_psdr.plan.reparametrised import make_reparametrised
 from warp_psdr.plan.replay import (
     MOST_KEPT,
@@ -307,12 +306,11 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="light tracing",
         keep=keep_blocks,
         make=make_replay,
-        refuse=partial(refused_with_light_paths, "interior.LightTracing()"),
     ),
     (interior.Bidirectional, boundary.Method): Row(
         label="bidirectional record and sweep",
         keep=keep_blocks,
         make=_make_bidirectional,
-        refuse=partial(refused_with_light_paths, "interior.Bidirectional()"),
+        refuse=refused_by_bidirectional,
     ),
 }

@@ -7,15 +7,18 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
 from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
     CAMERA_RADIANCEMETER,
     DELTA_LIGHTS,
     EMITTER_CONSTANT,
     EMITTER_ENVMAP,
     LOBE_DELTA_TRANSMISSION,
+    RFILTER_BOX,
 )
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
-from warp_psdr.plan.replay import Kept, keep_blocks
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.replay import MOST_KEPT, Kept, keep_blocks
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
@@ -29,6 +32,11 @@ if TYPE_CHECKING:
 BY_GLASS = "light by mirrors and glass"
 #: Vertices of its shortest path: the light, a mirror or glass, and what is lit.
 SHORTEST = 3
+#: What else differentiates caustics.
+BY_SPHERES = (
+    "With a small sphere in place of a light of no area interior.Replay() and boundary.PathSpace() differentiate "
+    "caustics, edges included"
+)
 
 
 @dataclass(frozen=True)
@@ -42,6 +50,7 @@ class LightTracing:
         wanted: which derivatives they compute; None: they have none, or primal only.
         joins: whether light paths have vertices that can be joined to the camera.
         kept: what of a light path that joins is kept; None: what the method keeps.
+        moves: whether vertices of light paths move.
     """
 
     method: interior.Method
@@ -50,6 +59,7 @@ class LightTracing:
     wanted: GradientRequest | None
     joins: bool
     kept: Kept | None = None
+    moves: bool = False
 
     @property
     def connected(self) -> bool:
@@ -65,17 +75,27 @@ class LightTracing:
                 return "light paths", "joined to the camera and to its paths", ways
             ways = ways if self.joins else "there are none: nothing can be joined"
             return "light paths", "weighted with those from the camera", ways
+        if self.moves:
+            return "light paths", "joined to the camera, their vertices move", "interior term alone"
         left = "lights, and what mirrors and glass show" if self.camera.scatter else "the lights that it sees"
         return "light paths", "joined to the camera", f"the camera itself draws {left}"
 
 
-def passes(config: PathConfig, wanted: GradientRequest | None, method: interior.Method, max_depth: int) -> LightTracing:
+def passes(
+    scene: Scene,
+    config: PathConfig,
+    wanted: GradientRequest | None,
+    method: interior.Method,
+    integrator: PathIntegrator,
+    names: list[str],
+) -> LightTracing:
     """Return the passes for what a scene needs.
 
     Raises:
-        ValueError: no point can be joined to the sensor, lights are hidden, or paths are too long to be kept.
+        ValueError: no point can be joined to the sensor, lights are hidden, paths are too long to be kept, or what is
+            requested moves vertices in a way that is not differentiated.
     """
-    name = type(method).__name__
+    name, max_depth = type(method).__name__, integrator.max_depth
     if config.camera == CAMERA_RADIANCEMETER:
         raise ValueError(
             f"interior.{name}() joins points to a film, or to the shape of an 'irradiancemeter'; the one ray of a "
@@ -100,36 +120,66 @@ def passes(config: PathConfig, wanted: GradientRequest | None, method: interior.
             both = replace(both, most_vertices=max(4, 1 << (max_depth - 1).bit_length()))
             return LightTracing(method, both, both, None, joins)
         return LightTracing(method, both, both, wanted, joins)
+    moves = wanted is not None and moves_vertices(config, wanted)
+    if moves:
+        refused = refused_while_vertices_move(scene, config, wanted, integrator, names)
+        if refused:
+            raise ValueError(f"interior.LightTracing() {refused}")
     if config.scatter and has_delta_lobes(config.bsdfs):
-        return LightTracing(method, config, replace(config, delta_first=True), wanted, joins)
+        return LightTracing(method, config, replace(config, delta_first=True), wanted, joins, moves=moves)
     camera = replace(config, scatter=False, bsdfs=("diffuse",), material=(), tangent=False, through=False)
     if wanted is not None:
         environment = {EMITTER_CONSTANT, EMITTER_ENVMAP} & set(config.lights)
         of_lights = (config.area and (wanted.radiance or wanted.to_uv)) or (environment and wanted.lights)
-        wanted = replace(wanted, material=()) if of_lights else None
-    return LightTracing(method, config, camera, wanted, joins)
+        seen = of_lights or (wanted.geometry and (config.area or environment))
+        wanted = replace(wanted, material=()) if seen else None
+    return LightTracing(method, config, camera, wanted, joins, moves=moves)
 
 
-def refused_with_light_paths(name: str, config: PathConfig, wanted: GradientRequest) -> str:
-    """Return why a method with light paths cannot compute derivatives; empty: it can."""
-    with_area = (
-        "; of what mirrors and glass turn that sees only the light of lights with an area: in place of a light of no "
-        "area take a small sphere, whose caustics interior.Replay() with boundary.PathSpace() differentiates, edges "
-        "included"
-        if has_caustics(config)
-        else ""
-    )
-    if wanted.geometry:
+def moves_vertices(config: PathConfig, wanted: GradientRequest) -> bool:
+    """Whether vertices of light paths move: by geometry, or by a light of no area whose rays mirrors and glass turn."""
+    turned = "pose" in wanted.lights and DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs)
+    return wanted.geometry or bool(turned)
+
+
+def refused_while_vertices_move(
+    scene: Scene, config: PathConfig, wanted: GradientRequest, integrator: PathIntegrator, names: list[str]
+) -> str:
+    """Return why light paths cannot follow what moves; empty: they can."""
+    if integrator.boundary is not None:
         return (
-            f"{name} differentiates what moves no vertices of its paths: materials, textures, "
-            "radiances, intensities and poses of lights. What moves shapes, normals, texture coordinates or the "
-            f"camera, or turns rays, as the index of refraction of glass does, takes interior.Replay(){with_area}"
+            "has no boundary term for edges that its paths cross where vertices move; PathIntegrator(boundary=None) "
+            "gives the interior term alone, which is whole where no edge of a surface, and no edge of what the camera "
+            f"sees, lies in the light that moves. {BY_SPHERES}"
         )
-    if "pose" in wanted.lights and DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs):
+    if wanted.camera:
+        return "does not differentiate by the camera; use interior.Replay()"
+    if config.camera == CAMERA_IRRADIANCEMETER:
+        return "does not follow what moves before an 'irradiancemeter'; use interior.Replay(), or a camera"
+    if config.filter == RFILTER_BOX:
         return (
-            f"{name} cannot move a point, spot, projector or directional light in a scene with "
-            "mirrors, glass or masks, behind which its rays would move too; request its intensity, or use "
-            f"interior.Replay(){with_area}"
+            "needs a filter without steps where vertices move on the film: give the film an 'rfilter' of type "
+            "'gaussian' or 'tent'"
+        )
+    if not 0 < integrator.max_depth <= MOST_KEPT:
+        return (
+            "keeps whole paths where their vertices move: max_depth: got "
+            f"{integrator.max_depth}, expected 1 to {MOST_KEPT}"
+        )
+    shining = [s.path for i, s in enumerate(scene.description.shapes) if s.emitter and i in motion(scene, names).shapes]
+    if shining:
+        return f"does not move the shape of a light, {shining[0]!r}; use interior.Replay()"
+    return ""
+
+
+def refused_by_bidirectional(config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why paths that are joined in the middle cannot compute derivatives; empty: they can."""
+    if moves_vertices(config, wanted):
+        return (
+            "interior.Bidirectional() differentiates what moves no vertices of its paths: materials, textures, "
+            "radiances, intensities, and poses of lights in scenes without mirrors, glass and masks. What moves "
+            "shapes, normals, texture coordinates or the camera, or turns rays, as the index of refraction of glass "
+            "does, takes interior.Replay(), or interior.LightTracing() with boundary=None"
         )
     return ""
 
@@ -161,6 +211,7 @@ def joined(
     wanted: GradientRequest | None,
     integrator: PathIntegrator,
     automatic: bool,
+    names: list[str],
     moving: tuple[str, ...],
 ) -> tuple[LightTracing | None, list[tuple[str, str, str]]]:
     """Return the light paths that join those of the camera, if any do, and what the plan says.
@@ -171,6 +222,7 @@ def joined(
         wanted: which derivatives; None: primal only.
         integrator: with the method of the interior that it stands for.
         automatic: whether the plan has chosen that method.
+        names: what is requested.
         moving: what moves discontinuities.
 
     Raises:
@@ -188,20 +240,23 @@ def joined(
     if not behind and integrator.caustics is not True:
         return None, left_out(config)
     why = f"{', '.join(behind)} shines by mirrors and glass alone" if behind else "caustics=True"
+    moves = wanted is not None and moves_vertices(config, wanted)
     if wanted is not None:
-        refused = refused_with_light_paths("light tracing", config, wanted)
-        if moving and not refused:
-            refused = f"light tracing does not follow what moves discontinuities: {moving[0]}"
+        refused = ""
+        if moves:
+            refused = refused_while_vertices_move(scene, config, wanted, integrator, names)
+        elif moving:
+            refused = f"does not follow what moves discontinuities: {moving[0]}"
         if refused:
             raise ValueError(
-                f"{why}, and light paths join those of the camera: {refused}. PathIntegrator(caustics=False) leaves "
-                "this light out of images and derivatives alike"
+                f"{why}, and light paths join those of the camera: light tracing {refused}. "
+                "PathIntegrator(caustics=False) leaves this light out of images and derivatives alike"
             )
-        if not (any(wanted.material) or wanted.to_uv or wanted.lights):
+        if not (any(wanted.material) or wanted.to_uv or wanted.lights or moves):
             return None, [(BY_GLASS, "not differentiated", "what is requested does not change it")]
     own = replace(config, caustics=True)
     kept = keep_blocks(interior.Replay(), integrator.max_depth, integrator.rr_depth) if wanted is not None else None
-    light = LightTracing(interior.LightTracing(), own, config, wanted, True, kept)
+    light = LightTracing(interior.LightTracing(), own, config, wanted, True, kept, moves)
     return light, [(BY_GLASS, "light tracing joins", why)]
 
 

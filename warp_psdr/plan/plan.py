@@ -176,11 +176,11 @@ def decide(
         lines.append(("swept", "paths that meet what is requested", met))
     light = None
     if isinstance(method, interior.FROM_LIGHTS):
-        light = passes(config, wanted, method, integrator.max_depth)
+        light = passes(scene, config, wanted, method, integrator, names)
         config = light.paths
         lines.append(light.line)
     else:
-        light, by_glass = joined(scene, config, wanted, integrator, automatic, moving)
+        light, by_glass = joined(scene, config, wanted, integrator, automatic, names, moving)
         lines += by_glass
     return Plan(
         config,
