@@ -94,8 +94,8 @@ def main(
     count: int = 49,
     width: int = 64,
     spp: int = 32,
-    lr: float = 0.004,
-    weight: float = 20.0,
+    lr: float = 0.02,
+    weight: float = 15.0,
 ) -> dict:
     """Find the lens, write the pictures and return the report."""
     began = time.perf_counter()
@@ -125,8 +125,8 @@ def main(
     plots.loss_curve(folder / "loss.png", losses)
     trimesh.Trimesh(vertices, faces, process=False).export(folder / "lens.ply")
     report = {
-        "psnr of the flat slab": round(psnr(flat, wanted), 2),
-        "psnr of the lens": round(psnr(found, wanted), 2),
+        "psnr of the flat slab, dB": round(psnr(flat, wanted), 2),
+        "psnr of the lens, dB": round(psnr(found, wanted), 2),
         "depth of the lens": round(float(np.ptp(height)), 4),
         "seconds": round(time.perf_counter() - began, 1),
     }

@@ -96,13 +96,13 @@ def make_place_sink(lights: tuple[int, ...], role: str):
 
     @wp.func
     def accumulate_place(scene: Scene, target: wp.array(dtype=wp.float32), emitter: wp.int32, a: wp.vec3) -> wp.float32:
-        e = emitter_at(scene, emitter)
+        light = emitter_at(scene, emitter)
         total = wp.float32(0.0)
-        if e.kind == EMITTER_POINT:
-            total = sink_vec3(target, e.to_world, a)
+        if light.kind == EMITTER_POINT:
+            total = sink_vec3(target, light.to_world, a)
         elif wp.static(posed):
             for i in range(3):
-                total += sink(target, e.to_world + 4 * i + 3, a[i])
+                total += sink(target, light.to_world + 4 * i + 3, a[i])
         return total
 
     return accumulate_place

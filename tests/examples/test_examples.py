@@ -155,6 +155,14 @@ def test_the_hole_of_a_link_opens(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_a_lens_draws_a_heart(example, tmp_path: Path) -> None:
+    report = example("caustic_design").main(tmp_path, steps=60, count=25, width=32, spp=16)
+    assert report["psnr of the lens, dB"] > report["psnr of the flat slab, dB"] + 3.0
+    for name in ("result", "lens", "loss"):
+        assert contrast(tmp_path / f"{name}.png") > 0.02
+
+
+@pytest.mark.slow
 def test_fibres_find_their_places(example, tmp_path: Path) -> None:
     module = example("fit_fibres")
     module.PHOTO_SPP = 16

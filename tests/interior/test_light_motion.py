@@ -82,7 +82,14 @@ def test_derivatives_of_refracted_light_are_those_of_its_closed_form():
 GLASS = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
 AIM = T.look_at([-1.2, 0.0, 2.2], [0.0, 0.0, 0.7], [0.0, 0.0, 1.0])
 NARROW = {"type": "spot", "to_world": AIM, "intensity": rgb(3.0, 2.0, 1.0), "cutoff_angle": 9.0, "beam_width": 3.0}
-SLIDE = {"type": "projector", "to_world": AIM, "fov": 12.0, "irradiance": texels(2, 4, 5), "scale": 3.0}
+BORDERED = np.pad(texels(2, 4, 5)["bitmap"], ((1, 1), (1, 1), (0, 0)))
+SLIDE = {
+    "type": "projector",
+    "to_world": AIM,
+    "fov": 12.0,
+    "irradiance": {"type": "bitmap", "bitmap": BORDERED, "raw": True},
+    "scale": 3.0,
+}
 VIEW = T.look_at([1.6, -2.6, 2.2], [0.45, 0.0, 0.0], [0.0, 0.0, 1.0])
 SIZE = 24
 WALL = {
@@ -221,6 +228,12 @@ def test_what_it_does_not_follow_is_refused_by_name():
         refused(r"no boundary term.*boundary=None.*small sphere.*PathSpace", name, boundary="auto")
     refused(r"by the camera; use interior\.Replay", "camera.to_world")
     refused(r"shape of a light, 'lamp'; use interior\.Replay", "lamp.vertex_positions")
+    slides = room(slide={**SLIDE, "irradiance": texels(2, 4, 5)}, matte=ball([-0.5, -0.3, 0.6], **GLASS))
+    refused(
+        r"does not move 'slide': a projector's image ends in a hard edge.*black",
+        "slide.to_world",
+        psdr.load_dict(slides),
+    )
     for depth in (-1, 65):
         refused(rf"max_depth: got {depth}, expected 1 to 64", "floor.vertex_positions", max_depth=depth)
     boxed = psdr.load_dict(room(camera_of("box"), point=POINT))

@@ -157,19 +157,10 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     steps = _moving_steps(scene, config, motion(scene, names))
     if steps:
         return f"{steps}, which jumps inside of triangles; use a bilinear bitmap, or hold it still before the camera"
-    values = scene.values.numpy()
     for e in scene.builder.emitters:
-        if e.kind in c.SPOTS:
-            cutoff, beam = values[e.cutoff : e.cutoff + 2].tolist()
-            if math.radians(cutoff - beam) <= MIN_FALLOFF:
-                return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
-        if e.kind == c.EMITTER_DIRECTIONAL_AREA:
-            return "the light of a directionalarea ends in a hard edge; use a 'directional' light, or an 'area' light"
-        if e.kind == c.EMITTER_PROJECTOR and has_hard_frame(scene, e):
-            return (
-                "a projector's image ends in a hard edge of light; give it a border of black texels (with 'bilinear' "
-                "filtering and without to_uv)"
-            )
+        edge = edge_of_light(scene, e)
+        if edge:
+            return edge
     pair = _shared_by_many(scene, set(motion(scene, names).shapes))
     if pair is not None:
         a, b = (scene.description.shapes[i].path for i in pair)
@@ -239,6 +230,22 @@ def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
         return ""
     path = scene.description.shapes[seen[0]].path
     return f"the camera moves before the texture of {path!r}" if moves.camera else f"{path!r} carries a texture"
+
+
+def edge_of_light(scene: Scene, e: Emitter) -> str:
+    """Say which hard edge the light of a light of no area ends in, and what to do; empty: it has none."""
+    if e.kind in c.SPOTS:
+        cutoff, beam = scene.values.numpy()[e.cutoff : e.cutoff + 2].tolist()
+        if math.radians(cutoff - beam) <= MIN_FALLOFF:
+            return "a spot light's cone has a hard edge; make beam_width smaller than cutoff_angle"
+    if e.kind == c.EMITTER_DIRECTIONAL_AREA:
+        return "the light of a directionalarea ends in a hard edge; use a 'directional' light, or an 'area' light"
+    if e.kind == c.EMITTER_PROJECTOR and has_hard_frame(scene, e):
+        return (
+            "a projector's image ends in a hard edge of light; give it a border of black texels (with 'bilinear' "
+            "filtering and without to_uv)"
+        )
+    return ""
 
 
 def has_hard_frame(scene: Scene, e: Emitter) -> bool:

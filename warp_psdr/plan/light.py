@@ -17,8 +17,10 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
+from warp_psdr.plan.coverage import edge_of_light
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.replay import MOST_KEPT, Kept, keep_blocks
+from warp_psdr.scene.layout import LIGHT_POSE
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
@@ -169,6 +171,11 @@ def refused_while_vertices_move(
     shining = [s.path for i, s in enumerate(scene.description.shapes) if s.emitter and i in motion(scene, names).shapes]
     if shining:
         return f"does not move the shape of a light, {shining[0]!r}; use interior.Replay()"
+    turned = {name.rpartition(".")[0] for name in names if LIGHT_POSE in scene.parameters[name].uses}
+    for light, e in zip(scene.description.emitters, scene.builder.emitters, strict=True):
+        edge = edge_of_light(scene, e) if light.path in turned else ""
+        if edge:
+            return f"does not move {light.path!r}: {edge}"
     return ""
 
 
