@@ -26,7 +26,7 @@ from warp_psdr.kernels.primitive.curves import (
     curves_of,
     first_point,
 )
-from warp_psdr.kernels.primitive.curves_surface import held_on, make_curve_surface
+from warp_psdr.kernels.primitive.curves_surface import held_on, make_curve_surface, on_cone
 from warp_psdr.kernels.reading import load_float
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Triangle
@@ -217,8 +217,9 @@ def make_segment(cubic: bool):
             s.p2 = control_point(scene, g, s.first + 2, zero)
             s.p3 = control_point(scene, g, s.first + 3, zero)
         else:
-            s.v = wp.clamp(2.0 * along - 0.5, 0.0, 1.0)
-            s.free = wp.where(along < 0.25 or along > 0.75, 0.0, 1.0)
+            place, free = on_cone(along)
+            s.v = place
+            s.free = free
         return s
 
     return segment_at

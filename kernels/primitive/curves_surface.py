@@ -32,6 +32,12 @@ def held_on(u: wp.float32, v: wp.float32) -> tuple[wp.int32, wp.float32]:
     return wp.int32(held[2] * wp.static(float(MOST_SEGMENTS))), held[0]
 
 
+@wp.func
+def on_cone(along: wp.float32) -> tuple[wp.float32, wp.float32]:
+    """The place on a cone that a place along it with its spheres is, and 1; at an end, and 0: on the sphere there."""
+    return wp.clamp(2.0 * along - 0.5, 0.0, 1.0), wp.where(along < 0.25 or along > 0.75, 0.0, 1.0)
+
+
 @functools.cache
 def make_curve_surface(cubic: bool, tangent: bool):
     """Return ``surface_of(scene, tri, u, v) -> Surface``; ``tangent``: along the circles, dp/du."""

@@ -9,10 +9,18 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF, PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.constants import (
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_NEURALSDF,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SDFGRID_CUBIC,
+)
 from warp_psdr.kernels.interior.tangents import normalize_jvp
 from warp_psdr.kernels.primitive.affine import Kind, cofactor, from_axes
-from warp_psdr.kernels.primitive.dispatch import is_cubic, is_grid, is_network
+from warp_psdr.kernels.primitive.curves_frame import frame_at, tube_bend, tube_gradient
+from warp_psdr.kernels.primitive.curves_surface import held_on, make_curve_surface, on_cone
+from warp_psdr.kernels.primitive.dispatch import is_bspline, is_cubic, is_grid, is_linear, is_network
 from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.network_surface import network_bend, network_point
@@ -28,7 +36,7 @@ from warp_psdr.kernels.structs import Scene, Triangle
 def make_turn(primitives: tuple[int, ...]) -> wp.Function | None:
     """Return ``turn(scene, tri, u, v, x_dot) -> vec3`` at a point (u, v) that moves by x_dot, along the surface.
 
-    None: the scene has no shapes without triangles. On curves it is 0, which are no mirrors.
+    None: the scene has no shapes without triangles.
     """
     if not primitives:
         return None
@@ -36,9 +44,17 @@ def make_turn(primitives: tuple[int, ...]) -> wp.Function | None:
     linear = PRIMITIVE_SDFGRID in primitives
     cubic = PRIMITIVE_SDFGRID_CUBIC in primitives
     networks = PRIMITIVE_NEURALSDF in primitives
+    of_cones = _make_curve_turn(False) if PRIMITIVE_LINEARCURVE in primitives else None
+    of_tubes = _make_curve_turn(True) if PRIMITIVE_BSPLINECURVE in primitives else None
 
     @wp.func
     def normal_turn_of_any(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32, x_dot: wp.vec3) -> wp.vec3:
+        if wp.static(of_cones is not None):
+            if is_linear(tri):
+                return of_cones(scene, tri, u, v, x_dot)
+        if wp.static(of_tubes is not None):
+            if is_bspline(tri):
+                return of_tubes(scene, tri, u, v, x_dot)
         q_dot = from_axes(tri, x_dot)
         if wp.static(networks):
             if is_network(tri):
@@ -75,6 +91,24 @@ def turned_normal(tri: Triangle, slope: wp.vec3, slope_dot: wp.vec3) -> wp.vec3:
     length = wp.length(c)
     sign = wp.float32(tri.i2)
     return normalize_jvp((sign / wp.where(length > 0.0, length, 1.0)) * c, length, sign * cofactor(tri, slope_dot))
+
+
+def _make_curve_turn(cubic: bool) -> wp.Function:
+    surface_of = make_curve_surface(cubic, False)
+
+    @wp.func
+    def curve_turn(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32, x_dot: wp.vec3) -> wp.vec3:
+        surface = surface_of(scene, tri, u, v)
+        segment, along = held_on(u, v)
+        place = along
+        free = wp.float32(1.0)
+        if wp.static(not cubic):
+            place, free = on_cone(along)
+        f = frame_at(scene, tri, segment, place)
+        e = wp.normalize(surface.x - f.c)
+        return normalize_jvp(surface.ng, wp.length(tube_gradient(f, e)), tube_bend(f, e, free, x_dot))
+
+    return curve_turn
 
 
 def _make_turn(kind: Kind) -> wp.Function:

@@ -17,8 +17,11 @@ from warp_psdr.kernels.visibility import visibility_of
 from .scenes import T, camera, diffuse, sky
 from .test_exact_sphere import POSE
 from .test_sdfgrid import MATRIX, values
+from .test_tubes import tube
 
 COUNT, STEP = 400, 1.0e-3
+#: Cosine from which on rays are not looked at that graze a curve.
+GRAZING = 0.3
 BSDF = {"bsdf": diffuse(0.5)}
 SHAPES = {
     **{kind: {"type": kind, "exact": True, "to_world": POSE, **BSDF} for kind in ("sphere", "cylinder", "disk")},
@@ -82,3 +85,61 @@ def test_turns_equal_differences_of_normals(kind: str) -> None:
     off = np.linalg.norm(a - b, axis=1)[met] / np.linalg.norm(b[met], axis=1).mean()
     # Differences across the faces of voxels are those of other normals.
     assert np.quantile(off, 0.9 if kind == "linear" else 1.0) < 0.02, off
+
+
+def make_curve_turns_kernel(config: PathConfig) -> wp.Kernel:
+    closest = visibility_of(config).closest
+    surface = make_interaction(config).surface
+    turn = make_turn(config.primitives)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def curve_turns(
+        scene: Scene,
+        o: wp.array(dtype=wp.vec3),
+        d: wp.array(dtype=wp.vec3),
+        kind: wp.array(dtype=wp.int32),
+        found: wp.array(dtype=wp.vec3),
+        expected: wp.array(dtype=wp.vec3),
+    ):
+        n = wp.tid()
+        across = STEP * wp.normalize(wp.cross(d[n], wp.vec3(0.1, 0.2, 0.3)))
+        hit = closest(scene, o[n], d[n], FAR)
+        low = closest(scene, o[n] - across, d[n], FAR)
+        high = closest(scene, o[n] + across, d[n], FAR)
+        if hit.face < 0 or low.face != hit.face or high.face != hit.face:
+            return
+        s = surface(scene, hit.face, hit.u, hit.v)
+        a = surface(scene, low.face, low.u, low.v)
+        b = surface(scene, high.face, high.u, high.v)
+        if wp.dot(s.ng, d[n]) > -GRAZING or wp.length(b.x - a.x) > 2.1 * STEP / GRAZING:
+            return
+        tri = scene.triangles[hit.face]
+        kind[n] = tri.shape
+        found[n] = turn(scene, tri, hit.u, hit.v, (0.5 / STEP) * (b.x - a.x))
+        expected[n] = (0.5 / STEP) * (b.n - a.n)
+
+    return curve_turns
+
+
+def test_turns_on_curves_equal_differences_between_rays() -> None:
+    """A tapered tube that bends, and cones with their spheres, on which the Hessian jumps where they touch."""
+    shapes = {}
+    for k, (plugin, kind) in enumerate((("bsplinecurve", "tapered"), ("linearcurve", "fat"))):
+        points = tube(kind) + np.array([0.0, 0.0, 2.0 * k, 0.0])
+        shapes[plugin] = {"type": plugin, "control_points": np.float32(points), **BSDF}
+    scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), **shapes})
+    random = np.random.default_rng(0)
+    aims = random.uniform([-1.2, -1.0, 0.0], [1.2, 0.5, 3.6], (10 * COUNT, 3))
+    d = random.normal(size=aims.shape)
+    d = np.float32(d / np.linalg.norm(d, axis=1, keepdims=True))
+    starts, ways = (wp.array(a, dtype=wp.vec3, device="cpu") for a in (np.float32(aims - 4.0 * d), d))
+    found, expected = (wp.zeros(len(d), dtype=wp.vec3, device="cpu") for _ in range(2))
+    kinds = wp.full(len(d), -1, dtype=wp.int32, device="cpu")
+    kernel = make_curve_turns_kernel(psdr.plan(scene).config)
+    wp.launch(kernel, dim=len(d), inputs=[scene.data(), starts, ways, kinds, found, expected], device="cpu")
+    a, b = found.numpy(), expected.numpy()
+    for shape, share in ((0, 0.98), (1, 0.9)):
+        met = kinds.numpy() == shape
+        assert met.sum() > 100
+        off = np.linalg.norm(a - b, axis=1)[met] / np.linalg.norm(b[met], axis=1).mean()
+        assert np.quantile(off, share) < 0.02, np.sort(off)

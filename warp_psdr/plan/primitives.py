@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
 MIRRORS = tuple(EXACT.values())
-POLISHED = (PRIMITIVE_SDFGRID_CUBIC,)
+POLISHED = (PRIMITIVE_SDFGRID_CUBIC, *CURVES)
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -222,9 +222,12 @@ def _as_a_mirror(shape: ShapeDescription) -> str:
             instead = f"say 'interpolation': 'cubic', as normals jump between voxels, or {instead}"
         return f"what moves is not followed through smooth mirrors and glass as {shape.path!r} is; {instead}"
     other = next((m.plugin for m in models if m.has_smooth or m.has_null), "")
+    instead = "give it a 'conductor' or a 'dielectric', or make it rough"
+    if kind in CURVES:
+        other = other or next((m.plugin for m in models if m.transmits), "")
+        instead = "light that enters a curve leaves it unseen; give it a 'conductor', or make it rough"
     if not other:
         return ""
-    instead = "give it a 'conductor' or a 'dielectric', or make it rough"
     return f"what moves is not followed through the {other!r} of {shape.path!r}; {instead}"
 
 

@@ -9,10 +9,10 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     PART_END,
     PART_START,
     TubePoint,
-    frame_at,
     side_point,
 )
 from warp_psdr.kernels.primitive.curves import curves_of, place_on, slope_on, spline_at, xyz
+from warp_psdr.kernels.primitive.curves_frame import frame_at
 from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
 

@@ -14,10 +14,8 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     PART_END,
     PART_SIDE,
     TubePoint,
-    along_gradient,
     crease_of,
     end_sphere_point,
-    frame_at,
     lean,
     rim_seen,
     side_point,
@@ -28,6 +26,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
 )
 from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.primitive.curves_frame import along_gradient, frame_at
 from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene, Triangle

@@ -15,7 +15,7 @@ from warp_psdr.kernels.boundary.crossing.curve import OFF
 from warp_psdr.kernels.boundary.crossing.levels import voxel_of
 from warp_psdr.kernels.boundary.silhouette.dispatch import make_silhouettes
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
-from warp_psdr.kernels.boundary.silhouette.tube_points import PART_CREASE, SMOOTH, frame_at, tube_curvature
+from warp_psdr.kernels.boundary.silhouette.tube_points import PART_CREASE, SMOOTH, tube_curvature
 from warp_psdr.kernels.boundary.specular.chain_patches import cells_of
 from warp_psdr.kernels.boundary.specular.grid_outlines import across_touch, make_grid_sink, make_grid_touch
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
@@ -41,6 +41,7 @@ from warp_psdr.kernels.primitive.affine import (
     step_off_primitive,
     to_axes,
 )
+from warp_psdr.kernels.primitive.curves_frame import frame_at
 from warp_psdr.kernels.primitive.curves_surface import held_on
 from warp_psdr.kernels.primitive.dispatch import (
     BOXED,

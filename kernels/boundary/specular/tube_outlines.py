@@ -19,7 +19,6 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     TubePoint,
     crease_of,
     end_sphere_point,
-    frame_at,
     lean,
     side_point,
     side_roots,
@@ -29,6 +28,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.constants import INV_TWO_PI
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.primitive.curves import curves_of, first_point
+from warp_psdr.kernels.primitive.curves_frame import frame_at
 from warp_psdr.kernels.primitive.curves_surface import held_on
 from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
