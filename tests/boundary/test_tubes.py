@@ -146,7 +146,12 @@ def test_reverse_mode_is_the_transpose(what: str) -> None:
     ("change", "boundary", "problem"),
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
-        ({"bsdf": {"type": "dielectric"}}, "auto", "light that enters a curve leaves it unseen; give it a 'conductor'"),
+        (
+            {"bsdf": {"type": "dielectric"}},
+            "auto",
+            "'dielectric' of 'body'; give it a 'conductor', as light that",
+        ),
+        ({"bsdf": {"type": "conductor"}, "type": "linearcurve"}, "auto", "as 'body' is; give a 'bsplinecurve'"),
         ({"control_points": tube("crossed"), "curve_starts": [0, 8]}, "auto", "tubes of 'body' run through each other"),
     ],
 )

@@ -5,7 +5,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import METERS, PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.constants import (
+    METERS,
+    PRIMITIVE_BSPLINECURVE,
+    PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_SDFGRID,
+    PRIMITIVE_SDFGRID_CUBIC,
+)
+from warp_psdr.kernels.primitive.dispatch import CURVES
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
@@ -35,7 +42,7 @@ if TYPE_CHECKING:
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
 MIRRORS = tuple(EXACT.values())
-POLISHED = (PRIMITIVE_SDFGRID_CUBIC, *CURVES)
+POLISHED = (PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_BSPLINECURVE)
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -220,15 +227,15 @@ def _as_a_mirror(shape: ShapeDescription) -> str:
         instead = "make it rough"
         if kind == PRIMITIVE_SDFGRID:
             instead = f"say 'interpolation': 'cubic', as normals jump between voxels, or {instead}"
+        if kind == PRIMITIVE_LINEARCURVE:
+            instead = f"give a 'bsplinecurve', as normals jump where straight segments meet, or {instead}"
         return f"what moves is not followed through smooth mirrors and glass as {shape.path!r} is; {instead}"
-    other = next((m.plugin for m in models if m.has_smooth or m.has_null), "")
-    instead = "give it a 'conductor' or a 'dielectric', or make it rough"
-    if kind in CURVES:
-        other = other or next((m.plugin for m in models if m.transmits), "")
-        instead = "light that enters a curve leaves it unseen; give it a 'conductor', or make it rough"
+    curved = kind in CURVES
+    other = next((m.plugin for m in models if m.has_smooth or m.has_null or (curved and m.transmits)), "")
     if not other:
         return ""
-    return f"what moves is not followed through the {other!r} of {shape.path!r}; {instead}"
+    fit = "'conductor', as light that enters a curve leaves it unseen," if curved else "'conductor' or a 'dielectric',"
+    return f"what moves is not followed through the {other!r} of {shape.path!r}; give it a {fit} or make it rough"
 
 
 def _of_mirrors(scene: Scene) -> str:
