@@ -298,6 +298,7 @@ FACTORIES = {
     "interior.antithetic.make_pair_kernel": [
         ("reverse", (GLOSSY, moving_camera(GLOSSY), "reverse"), SLOW),
         ("forward", (MAPPED, everything(MAPPED, to_uv=True), "forward"), SLOW),
+        ("resampled", (MAPPED, everything(MAPPED, to_uv=True), "reverse", 16), SLOW),
     ],
     "interior.film_antithetic.make_film_antithetic_kernel": [
         ("reverse", (SPLAT, all_of(SPLAT), "reverse", 4, True), SLOW),

@@ -9,7 +9,10 @@ both as paths of the image with the same random numbers. One glossy vertex of a 
 and a light point is drawn there, which has no partner. What does not turn the normals of glossy vertices is left to
 record and sweep.
 
-Derivation: ``docs/theory/interior.md#antithetic-pairs``.
+``interior.Resampled`` has the same driver: there both directions, and two light points, are drawn from candidates by
+their derivatives by the normal (``opposite.py``).
+
+Derivation: ``docs/theory/interior.md#antithetic-pairs``, ``docs/theory/interior.md#resampled-tilts``.
 """
 
 import functools
@@ -22,6 +25,7 @@ from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.branch_point import (
+    CHOICE_SLOT,
     DIRECTION_SLOT,
     LIGHT_SLOT,
     NO_ROULETTE,
@@ -33,6 +37,7 @@ from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.half_vectors import mirrored
+from warp_psdr.kernels.interior.opposite import make_opposite
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.interior.tilts import make_tilts, tilts
@@ -60,11 +65,35 @@ class Seen:
     chi: wp.float32  # weight of the turn of what the direction is between, see ``contact.py``
 
 
+@wp.struct
+class Drawn:
+    """What a branch draws: two directions and two light points."""
+
+    one: Seen
+    other: Seen
+    light: Seen
+    other_light: Seen
+
+
+@wp.func
+def seen_of(drawn: Drawn, number: wp.int32) -> Seen:
+    """One of the four."""
+    seen = drawn.one
+    if number == 1:
+        seen = drawn.other
+    elif number == 2:
+        seen = drawn.light
+    elif number == 3:
+        seen = drawn.other_light
+    return seen
+
+
 @functools.cache
-def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
+def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str, candidates: int = 0):
     """Return the kernel of ``interior.Antithetic``: the derivative by the normals of glossy vertices, complete.
 
     ``wanted`` holds, of material values, those that turn normals alone. Arguments as ``make_replay_kernel``'s.
+    ``candidates``: draw both from so many, a square, as ``interior.Resampled`` does; 0: mirror one.
     """
     # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
     config = replace(config, through=False)
@@ -91,6 +120,8 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
     sample_weight = make_sample_weight(role)
     geometry = wanted.geometry
     forward = role == "forward"
+    resamples = candidates > 0
+    numbers, choose_directions, choose_lights = make_opposite(config, candidates) if resamples else (None, None, None)
 
     @wp.func
     def branches_on(scene: Scene, shape: wp.int32) -> wp.bool:
@@ -137,7 +168,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
         return seen
 
     @wp.func
-    def draw_pair(
+    def mirrored_pair(
         scene: Scene, branch: Sampler, at: record, point: BranchPoint, max_depth: wp.int32, rr_depth: wp.int32
     ) -> tuple[Seen, Seen]:
         one = Seen()
@@ -164,15 +195,15 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
         return one, other
 
     @wp.func
-    def draw_light(scene: Scene, branch: Sampler, at: record, point: BranchPoint) -> Seen:
+    def light_seen(scene: Scene, at: record, point: BranchPoint, r4: wp.vec4, weight: wp.float32) -> Seen:
         seen = Seen()
         if wp.static(has_lights):
-            ls, light, _probability = sample_light(scene, at.x, sample_4d(branch, LIGHT_SLOT))
+            ls, light, _probability = sample_light(scene, at.x, r4)
             event = next_event(at, ls, light)
             if event.traces_shadow_ray == 1:
                 if not visibility.occluded(scene, event.o, event.d, event.t_max):
                     seen.wo = event.wi
-                    seen.light = event.weight * ls.radiance
+                    seen.light = (weight * event.weight) * ls.radiance
                     seen.chi = 1.0
                     if wp.static(geometry):
                         vertex = PathVertex()
@@ -183,6 +214,70 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
                         vertex.light_v = event.v
                         seen.chi = weight_of_light(scene, vertex, at.x)
         return seen
+
+    @wp.func
+    def draw_mirrored(
+        scene: Scene, branch: Sampler, at: record, point: BranchPoint, max_depth: wp.int32, rr_depth: wp.int32
+    ) -> Drawn:
+        one, other = mirrored_pair(scene, branch, at, point, max_depth, rr_depth)
+        drawn = Drawn()
+        drawn.one = one
+        drawn.other = other
+        drawn.light = light_seen(scene, at, point, sample_4d(branch, LIGHT_SLOT), 1.0)
+        return drawn
+
+    @wp.func
+    def chosen_direction(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        point: BranchPoint,
+        n4: wp.vec4,
+        weight: wp.float32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Seen:
+        goes_on = scatter(at, point.state, point.face, n4, NO_ROULETTE)
+        wo = enter_frame(at.frame, goes_on.wo)
+        return follow(scene, branch, at, goes_on.after, wo, weight * goes_on.inv_pdf, max_depth, rr_depth)
+
+    @wp.func
+    def draw_resampled(
+        scene: Scene,
+        branch: Sampler,
+        at: record,
+        point: BranchPoint,
+        a_n: wp.vec3,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+        t: wp.array(dtype=wp.float32),
+        key: wp.array(dtype=wp.float32),
+        order: wp.array(dtype=wp.int32),
+    ) -> Drawn:
+        drawn = Drawn()
+        sizes = wp.vec3(wp.abs(a_n[0]), wp.abs(a_n[1]), wp.abs(a_n[2]))
+        u = sample_4d(branch, CHOICE_SLOT)
+        r4 = sample_4d(branch, DIRECTION_SLOT)
+        chosen = choose_directions(scene, at, r4, sizes, u[0], t, key, order)
+        seen = Seen()
+        if chosen.first < 0:
+            seen.light = wp.vec3(chosen.first_weight, 0.0, 0.0)  # 0 or NaN
+            drawn.one = seen
+        else:
+            n4 = numbers(r4, chosen.first)
+            drawn.one = chosen_direction(scene, branch, at, point, n4, chosen.first_weight, max_depth, rr_depth)
+            n4 = numbers(r4, chosen.second)
+            drawn.other = chosen_direction(scene, branch, at, point, n4, chosen.second_weight, max_depth, rr_depth)
+        if wp.static(has_lights):
+            r4 = sample_4d(branch, LIGHT_SLOT)
+            chosen = choose_lights(scene, at, r4, sizes, u[1], t, key, order)
+            if chosen.first < 0:
+                seen.light = wp.vec3(chosen.first_weight, 0.0, 0.0)
+                drawn.light = seen
+            else:
+                drawn.light = light_seen(scene, at, point, numbers(r4, chosen.first), chosen.first_weight)
+                drawn.other_light = light_seen(scene, at, point, numbers(r4, chosen.second), chosen.second_weight)
+        return drawn
 
     @wp.func
     def turn_of(
@@ -209,9 +304,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
         at: record,
         surface: Surface,
         a_n: wp.vec3,
-        one: Seen,
-        other: Seen,
-        light: Seen,
+        drawn: Drawn,
     ) -> wp.float32:
         """Scatter the adjoints; in forward mode the derivative. ``a_n``: adjoint of what leaves the vertex."""
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
@@ -228,13 +321,14 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
             before.o = origin
             chi = weight_before(scene, before)
         wi = -point.state.d
-        a_material, a_frame_n = turn_of(at, surface, wi, one, a_n, chi)
-        m, n = turn_of(at, surface, wi, other, a_n, chi)
-        a_material = add_materials(a_material, m)
-        a_frame_n += n
-        m, n = turn_of(at, surface, wi, light, a_n, chi)
-        a_material = add_materials(a_material, m)
-        a_frame_n += n
+        a_material = material_record()
+        a_frame_n = wp.vec3(0.0, 0.0, 0.0)
+        number = wp.int32(0)
+        while number < wp.static(4 if resamples else 3):
+            m, n = turn_of(at, surface, wi, seen_of(drawn, number), a_n, chi)
+            a_material = add_materials(a_material, m)
+            a_frame_n += n
+            number += 1
         adjoint, total = accumulate_material(
             scene, target, at.slots, point.face, point.u, point.v, surface.uv, a_material, VertexAdjoint()
         )
@@ -270,6 +364,9 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
         if vanishes(delta):
             return
         derivative = wp.vec3d()  # in double precision, as the image
+        t = wp.zeros(shape=(wp.static(max(candidates, 1)),), dtype=wp.float32)
+        key = wp.zeros(shape=(wp.static(max(candidates, 1)),), dtype=wp.float32)
+        order = wp.zeros(shape=(wp.static(max(candidates, 1)),), dtype=wp.int32)
         starting = wp.zeros(shape=(wp.static(lanes),), dtype=PathState)
         cameras = wp.zeros(shape=(wp.static(lanes),), dtype=CameraSample)
         for i in range(job.samples):
@@ -283,21 +380,25 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str):
             at = interaction.on(scene, surface, point.face, point.u, point.v, point.state.d)
             if not glossy(at.model):
                 continue
-            one, other = draw_pair(scene, branch, at, point, job.max_depth, job.rr_depth)
-            light = draw_light(scene, branch, at, point)
             a_n = point.weight * wp.cw_mul(delta, point.state.throughput)
-            valid = finite(one.light + other.light + light.light)
+            drawn = Drawn()
+            if wp.static(resamples):
+                drawn = draw_resampled(scene, branch, at, point, a_n, job.max_depth, job.rr_depth, t, key, order)
+            else:
+                drawn = draw_mirrored(scene, branch, at, point, job.max_depth, job.rr_depth)
+            light = drawn.one.light + drawn.other.light + drawn.light.light + drawn.other_light.light
+            valid = finite(light)
             if wp.static(forward):
                 found = wp.vec3(0.0, 0.0, 0.0)
                 for channel in range(3):
                     a = wp.cw_mul(axis_vec3(channel), a_n)
-                    found[channel] = pull(scene, target, camera, sample, point, at, surface, a, one, other, light)
+                    found[channel] = pull(scene, target, camera, sample, point, at, surface, a, drawn)
                 valid = valid and finite(found)
                 if valid:
                     derivative += wp.vec3d(found)
             else:
                 if valid:
-                    valid = pull(scene, target, camera, sample, point, at, surface, a_n, one, other, light) == 0.0
+                    valid = pull(scene, target, camera, sample, point, at, surface, a_n, drawn) == 0.0
             if not valid:
                 count_invalid(scene, sampler)
         if wp.static(forward):

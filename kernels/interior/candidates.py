@@ -78,6 +78,24 @@ def is_upper(n4: wp.vec4) -> wp.bool:
 
 
 @functools.cache
+def make_light_point(config: PathConfig) -> wp.Function:
+    """Return ``light_point(scene, x, n4) -> LightPoint``, as seen from x."""
+    sample_light = make_light_sampler(config)
+
+    @wp.func
+    def light_point(scene: Scene, x: wp.vec3, n4: wp.vec4) -> LightPoint:
+        ls, _light, _probability = sample_light(scene, x, n4)
+        point = LightPoint()
+        point.wi = ls.wi
+        point.radiance = ls.radiance
+        point.pdf = ls.pdf * ls.probability
+        point.delta = ls.delta
+        return point
+
+    return light_point
+
+
+@functools.cache
 def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int) -> Candidates:
     """Return the functions for a scene, the values that are branched and a number of candidates."""
     mixing = bool(mixed_values(config, wanted))
@@ -174,17 +192,7 @@ def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int
 
     if not samples_lights(config):
         return Candidates(direction_targets, None, density)
-    sample_light = make_light_sampler(config)
-
-    @wp.func
-    def light_point(scene: Scene, x: wp.vec3, n4: wp.vec4) -> LightPoint:
-        ls, _light, _probability = sample_light(scene, x, n4)
-        point = LightPoint()
-        point.wi = ls.wi
-        point.radiance = ls.radiance
-        point.pdf = ls.pdf * ls.probability
-        point.delta = ls.delta
-        return point
+    light_point = make_light_point(config)
 
     @wp.func
     def light_targets(

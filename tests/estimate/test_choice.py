@@ -151,7 +151,7 @@ def test_what_has_no_closed_form_is_resampled(metal):
 def test_what_was_chosen_is_stored_in_json(metal):
     scene, _params = metal
     found = choice.known(scene, [ALPHA], 3)
-    found.spent, found.decided, found.method = 5.0, True, Branches(shapes="resampled", normals=True)
+    found.spent, found.decided, found.method = 5.0, True, Branches(shapes="resampled", normals="antithetic")
     found.gains, found.costs = {"shapes": 4.0}, {"shapes": 2.9}
     rows = json.loads(json.dumps(choice.stored(scene)))
     psdr.guiding.reset(scene)
@@ -197,9 +197,11 @@ def test_a_repeated_derivative_by_a_roughness_is_drawn_for(metal, monkeypatch):
 def test_shapes_and_normals_are_drawn_for_side_by_side():
     """The kernels of several methods add up to what each of them finds with the same random numbers."""
     names = [ALPHA, "floor.vertex_normals", "sky.radiance.value"]
-    found = turned.backward("moved", names, Branches(shapes="resampled", normals=True), [7])[0]
+    found = turned.backward("moved", names, Branches(shapes="resampled", normals="antithetic"), [7])[0]
     resampled_too = turned.backward("moved", names, psdr.interior.Resampled(), [7])[0]
+    both = turned.backward("moved", names, Branches(shapes="resampled", normals="resampled"), [7])[0]
     paired_too = turned.backward("moved", names, psdr.interior.Antithetic(), [7])[0]
     assert found[0] == resampled_too[0] != paired_too[0]
     np.testing.assert_allclose(found[1:], paired_too[1:], rtol=turned.ROUNDING, atol=1e-6 * np.abs(found).max())
+    np.testing.assert_allclose(both, resampled_too, rtol=turned.ROUNDING, atol=1e-6 * np.abs(found).max())
     assert not np.allclose(found[1:-3], resampled_too[1:-3]) and (found[-3:] > 0.0).all()

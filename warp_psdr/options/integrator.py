@@ -25,8 +25,8 @@ class PathIntegrator:
         hide_emitters: lights are invisible to the camera.
         sampler: "sobol" (Owen-scrambled), "independent", or "auto": what the scene file says, else Sobol.
         interior: method of the interior term; "auto": ``Replay()``, and from a repeated gradient of a scene on
-            ``Resampled()`` or ``Decomposed()`` for shapes of lobes and ``Antithetic()`` for normals beside it, where a
-            pilot says that it pays.
+            ``Resampled()`` or ``Decomposed()`` for shapes of lobes and ``Antithetic()`` or ``Resampled()`` for normals
+            beside it, where a pilot says that it pays.
         caustics: whether light paths join those of the camera, for light of lights of no area that mirrors or glass
             turn, which no path from the camera finds: in images, and in derivatives by what ``LightTracing()``
             differentiates; what moves anything raises an error. "auto": with ``interior="auto"``, where all that

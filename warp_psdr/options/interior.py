@@ -119,11 +119,14 @@ LEAST_CANDIDATES, MOST_CANDIDATES = 4, 256
 
 @dataclass(frozen=True, kw_only=True)
 class Resampled(Method):
-    """Resampled branches for the shapes of lobes (``kernels/interior/resampled.py``), after [BXB*24]; the rest: replay.
+    """Resampled branches (``kernels/interior/resampled.py``), after [BXB*24]; the rest: replay.
 
     Branched are the numbers of materials with smooth lobes (roughnesses, exponents, indices of refraction, weights of
-    mixtures, opacities), by one of them a sample; by weights half of the candidates are of each end. In scenes with
-    participating media it is `g` of `hg`. All else that is requested is left to ``Replay()``.
+    mixtures, opacities), by one of them a sample; by weights half of the candidates are of each end. What turns the
+    normals of glossy surfaces (normal and bump maps, vertex normals, and positions, poses and cameras as far as they
+    turn normals) has a pair of directions of its own, drawn by both tilts (``kernels/interior/opposite.py``); beside
+    smooth mirrors and glass, vertices that move are replayed. In scenes with participating media it is `g` of `hg`
+    alone. All else that is requested is left to ``Replay()``.
 
     Attributes:
         candidates: how many directions, and light points, are looked at where a path branches, a square.
@@ -227,11 +230,11 @@ class Branches(Method):
 
     Attributes:
         shapes: "resampled" or "decomposed": shapes of lobes are ``Resampled()``'s or ``Decomposed()``'s; "": replayed.
-        normals: whether normals are ``Antithetic()``'s.
+        normals: "antithetic" or "resampled": normals are ``Antithetic()``'s or ``Resampled()``'s; "": replayed.
     """
 
     shapes: str = ""
-    normals: bool = False
+    normals: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)

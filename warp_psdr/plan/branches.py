@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Name of a mask's value.
 OPACITY = "opacity"
+#: The method of ``interior.Branches`` that draws from candidates.
+RESAMPLED = "resampled"
 #: Phase functions whose parameters are drawn for, or that have none.
 DRAWN_PHASES = {PHASE_ISOTROPIC, PHASE_HG, PHASE_RAYLEIGH}
 
@@ -36,11 +38,37 @@ def keep_candidates(method: interior.Method, max_depth: int, rr_depth: int) -> K
     return replace(kept, reason=f"{method.candidates} candidates; {kept.reason}", candidates=method.candidates)
 
 
-def make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    """Return the kernel of resampled branches."""
+def make_branches_of_shapes(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the kernel of resampled branches by the shapes of lobes."""
     if config.media is not None:
         return make_phase_branch_kernel(config, role, kept.candidates, False)
     return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
+
+
+def make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+    """Return the first kernel of resampled branches, by the shapes of lobes if any is requested."""
+    return _resampled(config, wanted, role, kept)[0]
+
+
+def beside_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernel by what turns normals beside that by shapes, and that of the rest, if there are any."""
+    if config.media is not None:
+        return beside_branches(config, wanted, role, kept)
+    rest = without(wanted, branched_values(config, wanted))
+    if not refused_by_tilts("", config, rest):
+        rest = unpaired(config, rest)
+    return _resampled(config, wanted, role, kept)[1:] + replayed(config, rest, role, kept)
+
+
+def _resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    branched = branched_values(config, wanted)
+    rest = without(wanted, branched)
+    found = []
+    if config.media is not None or any(branched):
+        found.append(make_branches_of_shapes(config, wanted, role, kept))
+    if config.media is None and not refused_by_tilts("", config, rest):
+        found.append(make_pair_kernel(config, turned_by(config, rest), role, kept.candidates))
+    return found
 
 
 def beside_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
@@ -70,7 +98,7 @@ def make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept
 def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why lobes of one sign are not known; empty: they are."""
     if config.media is not None:
-        return _refused_in_media("Decomposed", config, wanted)
+        return _refused_in_media("interior.Decomposed()", config, wanted)
     unsplit = unsplit_values(config, wanted)
     if unsplit:
         left = [(m, set(unsplit) - set(m.decomposed)) for m in models_of(config.bsdfs)]
@@ -81,7 +109,7 @@ def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
             "mixtures, and "
             f"not those of {', '.join(unsplit)} of {', '.join(models)}. Use interior.Resampled()"
         )
-    return refused_by_resampled(config, wanted).replace("Resampled()", "Decomposed()")
+    return refused_by_branches("interior.Decomposed()", config, wanted)
 
 
 def keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
@@ -90,16 +118,20 @@ def keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
     return replace(kept, reason=f"a pair at one glossy vertex of a path; {kept.reason}")
 
 
-def make_pairs(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
-    """Return the kernel of antithetic pairs."""
-    turned = GradientRequest(
+def turned_by(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
+    """Return what of a request may turn normals of glossy surfaces."""
+    return GradientRequest(
         material=tilting_values(config, wanted),
         to_uv=wanted.to_uv,
         shapes=wanted.shapes,
         texcoords=wanted.texcoords,
         camera=wanted.camera,
     )
-    return make_pair_kernel(config, turned, role)
+
+
+def make_pairs(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
+    """Return the kernel of antithetic pairs."""
+    return make_pair_kernel(config, turned_by(config, wanted), role)
 
 
 def unpaired(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
@@ -120,8 +152,7 @@ def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
     name = "interior.Antithetic()"
     if not has_glossy_lobes(config.bsdfs):
         return f"{name} draws pairs at glossy surfaces, and the scene has none. Use interior.Replay()"
-    slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
-    if not wanted.geometry and not slides and not any(tilting_values(config, wanted)):
+    if not turns_normals(config, wanted):
         if any(branched_values(config, wanted)):
             return (
                 f"{name} draws pairs for what turns the normals of glossy surfaces; derivatives by the shape of a lobe "
@@ -131,30 +162,52 @@ def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
             f"{name} draws pairs for what turns the normals of glossy surfaces (normal and bump maps, vertex normals, "
             "what moves), and no parameter that is requested does. Use interior.Replay()"
         )
+    return refused_by_tilts(name, config, wanted)
+
+
+def turns_normals(config: PathConfig, wanted: GradientRequest) -> bool:
+    """Whether anything that is requested may turn the normals of glossy surfaces."""
+    slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
+    turns = wanted.geometry or slides or any(tilting_values(config, wanted))
+    return turns and has_glossy_lobes(config.bsdfs)
+
+
+def refused_by_tilts(name: str, config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why no two directions are drawn by how normals turn; empty: they are."""
+    if not turns_normals(config, wanted):
+        return f"{name}: no parameter that is requested turns the normals of glossy surfaces. Use interior.Replay()"
     if refused := refused_in_path_order(name)(config, wanted):
         return refused
-    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
-        return (
-            f"{name} does not let shadow rays pass masks, thin glass and 'null', and lights of no area are found by "
-            "nothing else behind them. Use interior.Replay(), or area lights"
-        )
-    return ""
+    return _refused_behind_null(name, config)
 
 
 def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why nothing is branched; empty: something is."""
+    name = "interior.Resampled()"
+    if config.media is None and not any(branched_values(config, wanted)) and turns_normals(config, wanted):
+        return refused_by_tilts(name, config, wanted)
+    return refused_by_branches(name, config, wanted)
+
+
+def refused_by_branches(name: str, config: PathConfig, wanted: GradientRequest) -> str:
+    """Return why nothing is branched by the shape of a lobe; empty: something is."""
     if config.media is not None:
-        return _refused_in_media("Resampled", config, wanted)
+        return _refused_in_media(name, config, wanted)
     if not any(branched_values(config, wanted)):
+        normals = ", and nothing turns the normals of a glossy one" if name == "interior.Resampled()" else ""
         return (
-            "interior.Resampled() draws directions for the shapes of lobes, and no parameter that is requested is one "
+            f"{name} draws directions for the shapes of lobes, and no parameter that is requested is one "
             "(a roughness, an exponent, an index of refraction, a weight or an opacity of a material with a smooth "
-            "lobe). Use interior.Replay()"
+            f"lobe){normals}. Use interior.Replay()"
         )
+    return _refused_behind_null(name, config)
+
+
+def _refused_behind_null(name: str, config: PathConfig) -> str:
     if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
         return (
-            "interior.Resampled() does not let shadow rays pass masks, thin glass and 'null', and lights of no area "
-            "are found by nothing else behind them. Use interior.Replay(), or area lights"
+            f"{name} does not let shadow rays pass masks, thin glass and 'null', and lights of no area are found by "
+            "nothing else behind them. Use interior.Replay(), or area lights"
         )
     return ""
 
@@ -164,12 +217,12 @@ def _refused_in_media(name: str, config: PathConfig, wanted: GradientRequest) ->
     assert config.media is not None
     if PHASE not in wanted.media:
         return (
-            f"interior.{name}() draws directions for g of 'hg' in scenes with participating media, and no parameter "
+            f"{name} draws directions for g of 'hg' in scenes with participating media, and no parameter "
             "that is requested is one; shapes of lobes on surfaces beside media are for interior.Replay()"
         )
     if set(config.media.phases) - DRAWN_PHASES:
         return (
-            f"interior.{name}() knows g of 'hg' beside 'isotropic' and 'rayleigh', and no other phase function. Use "
+            f"{name} knows g of 'hg' beside 'isotropic' and 'rayleigh', and no other phase function. Use "
             "interior.Replay()"
         )
     return ""
@@ -181,7 +234,7 @@ def refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], 
     def refuse(config: PathConfig, wanted: GradientRequest) -> str:
         if wanted.geometry and has_delta_lobes(config.bsdfs):
             return (
-                f"interior.{name} cannot differentiate moving vertices behind smooth mirrors or glass: the adjoint of "
+                f"{name} cannot differentiate moving vertices behind smooth mirrors or glass: the adjoint of "
                 "a ray has to be carried backwards. Use interior.Replay()"
             )
         return ""
@@ -197,10 +250,10 @@ def drawn_by_choice(config: PathConfig, wanted: GradientRequest) -> GradientRequ
 def keep_branches(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
     """Return what several methods side by side keep."""
     assert isinstance(method, interior.Branches)
-    candidates = interior.Resampled().candidates if method.shapes else 0
+    candidates = interior.Resampled().candidates if method.shapes or method.normals == RESAMPLED else 0
     kept = keep_blocks(interior.Replay(), max_depth, rr_depth)
     said = [f"{method.shapes} branches for shapes of lobes"] if method.shapes else []
-    said += ["antithetic pairs for normals"] if method.normals else []
+    said += [f"{method.normals} pairs for normals"] if method.normals else []
     return replace(kept, reason="; ".join((*said, kept.reason)), candidates=candidates, branches=method)
 
 
@@ -218,12 +271,20 @@ def beside_first(config: PathConfig, wanted: GradientRequest, role: str, kept: K
 
 def _kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     assert kept.branches is not None
-    make = {"": [], "resampled": [make_resampled], "decomposed": [make_decomposed]}[kept.branches.shapes]
+    make = {"": [], RESAMPLED: [make_branches_of_shapes], "decomposed": [make_decomposed]}[kept.branches.shapes]
     shapes = [m(config, drawn_by_choice(config, wanted), role, kept) for m in make]
-    return shapes + ([make_pairs(config, wanted, role, kept)] if kept.branches.normals else [])
+    if not kept.branches.normals:
+        return shapes
+    turned = turned_by(config, _not_of_shapes(kept.branches, config, wanted))
+    return [*shapes, make_pair_kernel(config, turned, role, {RESAMPLED: kept.candidates}.get(kept.branches.normals, 0))]
+
+
+def _not_of_shapes(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:
+    """Return what is requested but for the shapes of lobes that are drawn for."""
+    return without(wanted, branched_values(config, drawn_by_choice(config, wanted))) if method.shapes else wanted
 
 
 def rest_of(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     """Return what of a request is replayed beside several methods."""
-    rest = unpaired(config, wanted) if method.normals else wanted
-    return without(rest, branched_values(config, drawn_by_choice(config, wanted))) if method.shapes else rest
+    rest = _not_of_shapes(method, config, wanted)
+    return unpaired(config, rest) if method.normals else rest

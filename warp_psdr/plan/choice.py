@@ -1,6 +1,6 @@
 """``interior="auto"``: which methods of the interior term a request could gain by, and what is known of them.
 
-By rule: shapes of lobes and weights of mixtures are branched, normals of glossy surfaces are paired, and all else is
+By rule: shapes of lobes and weights of mixtures are branched, normals of glossy surfaces have pairs, and all else is
 replayed. What the rule offers is taken once a pilot has found that it pays (``estimate/choice.py``), which waits for a
 gradient that is repeated: the first ones are replayed, by the kernel that they would have without the rule. What a
 request has found is kept with the scene.
@@ -17,7 +17,7 @@ from warp_psdr.kernels.interior.mixtures import mixed_values
 from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
-from warp_psdr.plan.branches import drawn_by_choice, refused_by_antithetic, refused_by_resampled, rest_of
+from warp_psdr.plan.branches import drawn_by_choice, refused_by_antithetic, refused_by_branches, rest_of
 from warp_psdr.plan.interior import row_of
 from warp_psdr.plan.replay import is_asked
 from warp_psdr.scene.layout import CAMERA, MATERIAL, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
@@ -30,17 +30,20 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: Time of a sample over that of replay, measured with the benchmarks of each: of branches by shapes of lobes and by
-#: weights of mixtures, and of antithetic pairs. It is no clock that chooses, so that equal calls choose alike.
+#: weights of mixtures, and of pairs by normals. It is no clock that chooses, so that equal calls choose alike.
 SHAPES_COST = {"resampled": 4.1, "decomposed": 3.9}
 WEIGHTS_COST = {"resampled": 8.0, "decomposed": 2.9}
-NORMALS_COST = 1.4
+NORMALS_COST = {"antithetic": 1.4, "resampled": 3.8}
 #: What turns normals besides maps.
 TURNING = {CAMERA, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV}
 #: Parameters that a line of the plan names.
 NAMED = 3
 WAITS = "from a repeated gradient on, if a pilot says that it pays"
 #: What the plan calls what is drawn for.
-LABELS = {"resampled": "resampled branches", "decomposed": "decomposed branches", "normals": "antithetic pairs"}
+LABELS = {
+    "shapes": {"resampled": "resampled branches", "decomposed": "decomposed branches"},
+    "normals": {"antithetic": "antithetic pairs", "resampled": "resampled pairs"},
+}
 
 
 @dataclass(eq=False)
@@ -122,7 +125,7 @@ def offered(config: PathConfig, wanted: GradientRequest, moves_edges: bool) -> t
     """
     if config.media is not None or config.primitives:
         return ()
-    found = [] if refused_by_resampled(config, drawn_by_choice(config, wanted)) else ["shapes"]
+    found = [] if refused_by_branches("", config, drawn_by_choice(config, wanted)) else ["shapes"]
     if not (moves_edges or refused_by_antithetic(config, wanted)):
         found.append("normals")
     return tuple(found)
@@ -137,21 +140,22 @@ def candidates(plan: Plan) -> list[tuple[str, Branches]]:
         if not unsplit_values(plan.config, drawn_by_choice(plan.config, plan.wanted)):
             found.append(("shapes", Branches(shapes="decomposed")))
     if "normals" in plan.offered:
-        found.append(("normals", Branches(normals=True)))
+        found += [("normals", Branches(normals=method)) for method in NORMALS_COST]
     return found
 
 
 def both(found: tuple[Branches, ...]) -> Branches:
     """Return the methods of several side by side."""
     shapes = next((m.shapes for m in found if m.shapes), "")
-    return Branches(shapes=shapes, normals=any(m.normals for m in found))
+    normals = next((m.normals for m in found if m.normals), "")
+    return Branches(shapes=shapes, normals=normals)
 
 
 def cost_of(method: Branches, config: PathConfig, wanted: GradientRequest) -> float:
     """Return the time of a sample over that of replay."""
     shapes_cost = WEIGHTS_COST if mixed_values(config, drawn_by_choice(config, wanted)) else SHAPES_COST
     cost = shapes_cost[method.shapes] if method.shapes else 0.0
-    cost += NORMALS_COST if method.normals else 0.0
+    cost += NORMALS_COST[method.normals] if method.normals else 0.0
     return cost + float(is_asked(rest_of(method, config, wanted)))
 
 
@@ -184,7 +188,7 @@ def describe(
     }
     reasons = {
         "shapes": "shape of a lobe, or weight of a mixture",
-        "normals": "turns normals of glossy surfaces: pairs or replay, never resampled",
+        "normals": "turns normals of glossy surfaces",
     }
     lines, left = [], list(names)
     for kind in kinds:
@@ -202,7 +206,7 @@ def _label(method: Branches | None, kind: str) -> str:
     """Return what the plan calls a method of a kind; empty: replay."""
     if method is None:
         return ""
-    return LABELS.get(method.shapes if kind == "shapes" else "normals" if method.normals else "", "")
+    return LABELS[kind].get(getattr(method, kind), "")
 
 
 def _said(found: Choice, kind: str) -> str:

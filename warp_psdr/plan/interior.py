@@ -34,6 +34,7 @@ from warp_psdr.plan.branches import (
     beside_branches,
     beside_first,
     beside_pairs,
+    beside_resampled,
     keep_branches,
     keep_candidates,
     keep_lobes,
@@ -236,7 +237,7 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="resampled branches, record and sweep",
         keep=keep_candidates,
         make=make_resampled,
-        beside=beside_branches,
+        beside=beside_resampled,
         refuse=refused_by_resampled,
     ),
     (interior.Attached, boundary.Method): Row(
@@ -294,13 +295,13 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="textbook replay",
         keep=_keep_textbook,
         make=_make_textbook,
-        refuse=refused_in_path_order("Textbook(), textbook replay,"),
+        refuse=refused_in_path_order("interior.Textbook(), textbook replay,"),
     ),
     (interior.Radiative, boundary.Method): Row(
         label="radiative backpropagation",
         keep=_keep_radiative,
         make=_make_radiative,
-        refuse=refused_in_path_order("Radiative()"),
+        refuse=refused_in_path_order("interior.Radiative()"),
     ),
     (interior.LightTracing, boundary.Method): Row(
         label="light tracing",
