@@ -80,7 +80,7 @@ def _measured(scene: psdr.Scene, parameter: str, size: int, repeat: int) -> dict
 def _label(method) -> str:
     if method is None:
         return "replay"
-    return method.shapes or "antithetic"
+    return method.shapes or method.normals
 
 
 if __name__ == "__main__":

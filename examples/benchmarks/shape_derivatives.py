@@ -3,7 +3,7 @@
     python examples/benchmarks/shape_derivatives.py [--method resampled] [--quick] [--output results.jsonl]
 
 By the shape of lobes, ``interior.Resampled``; by roughnesses of metal, other numbers of single lobes and weights,
-``interior.Decomposed`` beside it; by what turns normals, ``interior.Antithetic``.
+``interior.Decomposed`` beside it; by what turns normals, ``interior.Antithetic`` and ``interior.Resampled``.
 
 A glossy ball on a floor under a lamp of some width and an even sky. The variance is that of the derivative image, all
 pixels together, from independent seeds at equal samples; the time that of gradients in reverse mode. What counts is the
@@ -90,7 +90,7 @@ CLOSED = (*SHAPES[:6], *OTHERS, *SHAPES[7:])
 TABLES = {
     "resampled": ((psdr.interior.Resampled(),), SHAPES, "the shape of lobes"),
     "decomposed": ((psdr.interior.Decomposed(), psdr.interior.Resampled()), CLOSED, "lobes with closed forms"),
-    "antithetic": ((psdr.interior.Antithetic(),), NORMALS, "what turns normals"),
+    "antithetic": ((psdr.interior.Antithetic(), psdr.interior.Resampled()), NORMALS, "what turns normals"),
 }
 
 

@@ -10,8 +10,11 @@ import warp_psdr as psdr
 from tests.gradients.configs import shift, turn
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import noise, rgb
+from warp_psdr.estimate.passes import camera_gradient_kernels
 from warp_psdr.kernels.interior.half_vectors import mirrored
 from warp_psdr.kernels.interior.opposite import sort_by
+from warp_psdr.options.interior import Branches
+from warp_psdr.plan import choice
 
 SIZE = 16
 #: Difference of two means over their standard error that independent batches exceed once in 16,000 tries.
@@ -394,3 +397,23 @@ def test_the_plan_names_it():
     plan = plan_of(metal(0.1), ["ball.vertex_normals"])
     _item, decision, reason = next(line for line in plan.lines if line[0] == "interior")
     assert decision.startswith("antithetic pairs") and reason.startswith("a pair at one glossy vertex")
+
+
+def test_the_scale_of_bumps_is_drawn_for_once():
+    """It is a number of a glossy model, and it turns normals."""
+    scene, _params = load("bumped")
+    plan = psdr.plan(scene, names=["ball.bsdf.scale"], integrator=integrator("auto"))
+    assert plan.offered == ("normals",)
+    methods = [method for _kind, method in choice.candidates(plan)]
+    assert methods == [Branches(normals="antithetic"), Branches(normals="resampled")]
+
+
+def test_resampled_replays_vertices_that_move_beside_mirrors():
+    mirror = {"type": "sphere", "radius": 0.1, "bsdf": {"type": "conductor"}}
+    ball = {"type": "sphere", "bsdf": metal(0.1)}
+    scene = psdr.load_dict({"type": "scene", "ball": ball, "mirror": mirror, "sky": {"type": "constant"}})
+    resampled = integrator(psdr.interior.Resampled())
+    plan = psdr.plan(scene, names=["ball.bsdf.alpha.value", "ball.to_world"], integrator=resampled)
+    assert len(camera_gradient_kernels(plan, "reverse")) == 2
+    with pytest.raises(ValueError, match=r"smooth mirrors or glass: .* Use interior\.Replay\(\)"):
+        psdr.plan(scene, names=["ball.to_world"], integrator=resampled)

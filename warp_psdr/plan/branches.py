@@ -243,8 +243,13 @@ def refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], 
 
 
 def drawn_by_choice(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
-    """Return what of a request may be branched unasked: no opacity, most of whose derivative shadow rays have."""
-    return without(wanted, tuple(slot.name.rsplit("_", 1)[-1] == OPACITY for slot in config.material))
+    """Return what of a request may be branched as a shape unasked.
+
+    No opacity, most of whose derivative shadow rays have, and nothing that turns normals of glossy surfaces, as the
+    scale of bumps does.
+    """
+    left = zip(config.material, tilting_values(config, wanted), strict=True)
+    return without(wanted, tuple(turns or slot.name.rsplit("_", 1)[-1] == OPACITY for slot, turns in left))
 
 
 def keep_branches(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
