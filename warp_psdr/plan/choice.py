@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 #: weights of mixtures, and of pairs by normals. It is no clock that chooses, so that equal calls choose alike.
 SHAPES_COST = {"resampled": 4.1, "decomposed": 3.9}
 WEIGHTS_COST = {"resampled": 8.0, "decomposed": 2.9}
-NORMALS_COST = {"antithetic": 1.4, "resampled": 3.8}
+NORMALS_COST = {"antithetic": 2.0, "resampled": 4.8}
 #: What turns normals besides maps.
 TURNING = {CAMERA, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV}
 #: Parameters that a line of the plan names.
