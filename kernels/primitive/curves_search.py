@@ -51,9 +51,10 @@ def xyz(p: wp.vec4) -> wp.vec3:
 
 @wp.func
 def entry(a: wp.float32, b: wp.float32, c: wp.float32, discriminant: wp.float32) -> wp.float32:
-    """The root of a t^2 + 2 b t + c at which it becomes negative."""
+    """The root of a t^2 + 2 b t + c at which it becomes negative; without roots where it is least."""
     root = wp.sqrt(wp.max(discriminant, 0.0))
-    return wp.where(b < 0.0, c, -(b + root)) / wp.where(b < 0.0, root - b, wp.where(a == 0.0, 1.0e-30, a))
+    other = b < 0.0 and discriminant >= 0.0
+    return wp.where(other, c, -(b + root)) / wp.where(other, root - b, wp.where(a == 0.0, 1.0e-30, a))
 
 
 @wp.struct
