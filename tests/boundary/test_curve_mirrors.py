@@ -54,7 +54,7 @@ CASES = [
     Case("mirror tube, floor", BODY, X, 0.005, "x", 3, 1024, 4096),
     Case("mirror tube", BODY, X, 0.003, "x", 2, 1024, 4096),
     Case("mirror tube", POINTS, RADIUS, 0.003, "one radius", 2, 1024, 4096),
-    Case("mirror tube", LAMP, ALONG, 0.02, "lamp moves", 2, 512, 2048),
+    Case("mirror tube", LAMP, ALONG, 0.02, "lamp moves", 2, 1536, 2048),
 ]
 
 
