@@ -92,6 +92,7 @@ def test_reverse_mode_is_the_transpose() -> None:
 @pytest.mark.parametrize(
     ("change", "problem"),
     [
+        ({"bsdf": {"type": "plastic"}}, "not followed through the 'plastic' of 'body'"),
         ({"layer2.bias": body()["layer2.bias"] - 0.2}, "the surface of 'body' may end at its box"),
         ({"to_world": T(T.translate([0, 0, -0.4]).matrix @ MATRIX)}, "'floor' runs through the surface of 'body'"),
     ],

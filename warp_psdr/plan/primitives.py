@@ -9,6 +9,7 @@ from warp_psdr.kernels.constants import (
     METERS,
     PRIMITIVE_BSPLINECURVE,
     PRIMITIVE_LINEARCURVE,
+    PRIMITIVE_NEURALSDF,
     PRIMITIVE_SDFGRID,
     PRIMITIVE_SDFGRID_CUBIC,
 )
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
 MIRRORS = tuple(EXACT.values())
-POLISHED = (PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_BSPLINECURVE)
+POLISHED = (PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_NEURALSDF, PRIMITIVE_BSPLINECURVE)
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
