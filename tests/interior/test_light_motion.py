@@ -140,7 +140,7 @@ ROWS = {
     "spot, turn": (lambda: caustic(NARROW), "light.to_world", turned(), 0.004),
     "projector, turn": (lambda: caustic(SLIDE), "light.to_world", turned(), 0.004),
     "ball, x": (lambda: caustic(NARROW), "ball.vertex_positions", X, 0.004),
-    "floor, z": (lambda: caustic(NARROW), "floor.vertex_positions", np.array([0.0, 0.0, 1.0]), 0.004),
+    "floor, z": (lambda: caustic(NARROW), "floor.vertex_positions", np.array([0.0, 0.0, 1.0]), 0.001),
     "mirror, x": (mirrored, "ball.vertex_positions", X, 0.004),
 }
 
