@@ -39,7 +39,7 @@ from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.texture.texture import make_texture
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
 
 #: The sphere that rays from infinity cover is larger than the scene's by so much, for rounding.
 COVER = 1.0e-4
@@ -229,6 +229,18 @@ def make_light_ray(config: PathConfig):
         return r
 
     return light_ray
+
+
+@wp.func
+def light_vertex(ray: LightRay) -> PathVertex:
+    """The light as next-event estimation finds it from where the ray ends."""
+    found = PathVertex()
+    found.light = ray.emitter
+    found.light_face = ray.face
+    found.light_u = ray.u
+    found.light_v = ray.v
+    found.light_wi = -ray.d
+    return found
 
 
 @wp.func

@@ -30,7 +30,7 @@ from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.light_path import SLOT_FIRST, SLOTS_PER_LIGHT_VERTEX, LightVertex
-from warp_psdr.kernels.light_ray import LightRay, radiance_scale
+from warp_psdr.kernels.light_ray import LightRay, light_vertex, radiance_scale
 from warp_psdr.kernels.reading import emitter_at, triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sensor.camera import make_lens
@@ -38,7 +38,7 @@ from warp_psdr.kernels.sensor.projection import FilmPoint, camera_block, make_pr
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
-from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -257,12 +257,7 @@ def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) ->
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         found = accumulate_vertex(scene, target, carry.face, carry.u, carry.v, carry.adjoint, True, ray.o, ray.d)
         total = carry.dot + found.dot
-        emitted = PathVertex()
-        emitted.light = ray.emitter
-        emitted.light_face = ray.face
-        emitted.light_u = ray.u
-        emitted.light_v = ray.v
-        emitted.light_wi = -ray.d
+        emitted = light_vertex(ray)
         # Of lights at a finite distance the direction rests, of light from infinity the place where it starts.
         aim = wp.where(ray.from_point == 1, 0.0, -1.0) * (found.d + carry.a_d)
         x = point_on(triangle_at(scene, carry.face), carry.u, carry.v)

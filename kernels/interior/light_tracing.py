@@ -22,13 +22,13 @@ from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import LightVertex, light_sampler
-from warp_psdr.kernels.light_ray import LightRay, radiance_scale
+from warp_psdr.kernels.light_ray import LightRay, light_vertex, radiance_scale
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
-from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.vertex import PathConfig
 
 
 class LightFactors(NamedTuple):
@@ -118,14 +118,9 @@ def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         total = wp.float32(0.0)
         if wp.static(emits):
-            # As next-event estimation at x finds it.
-            found = PathVertex()
-            found.light = ray.emitter
-            found.light_face = ray.face
-            found.light_u = ray.u
-            found.light_v = ray.v
-            found.light_wi = -ray.d
-            _a_x, total = accumulate_light(scene, target, found, x, radiance_scale(ray, x) * w, 0.0, a_light, 1.0)
+            _a_x, total = accumulate_light(
+                scene, target, light_vertex(ray), x, radiance_scale(ray, x) * w, 0.0, a_light, 1.0
+            )
         return total
 
     return LightFactors(aims, join_vjp, scatter_on_vjp, emission_vjp)

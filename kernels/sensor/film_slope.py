@@ -13,30 +13,9 @@ import warp as wp
 from warp_psdr.kernels.constants import RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.rng import Sampler
-from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT, GAUSSIAN_INTEGRAL, filter_extent, filter_share
-from warp_psdr.kernels.sensor.projection import counts, pixel_filter
+from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT, GAUSSIAN_INTEGRAL, filter_share
+from warp_psdr.kernels.sensor.projection import counts, film_window, pixel_filter
 from warp_psdr.kernels.structs import Camera, Scene
-
-
-@wp.struct
-class FilmWindow:
-    """The pixels under whose filters a point lies, first and last."""
-
-    x0: wp.int32
-    y0: wp.int32
-    x1: wp.int32
-    y1: wp.int32
-
-
-@wp.func
-def film_window(camera: Camera, at: wp.vec2) -> FilmWindow:
-    r = filter_extent(camera)
-    w = FilmWindow()
-    w.x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
-    w.y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
-    w.x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
-    w.y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
-    return w
 
 
 @wp.func

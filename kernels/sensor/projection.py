@@ -88,6 +88,28 @@ def counts(camera: Camera, at: wp.vec2) -> wp.bool:
     return across and at[1] >= -margin and at[1] < wp.float32(camera.crop_height) + margin
 
 
+@wp.struct
+class FilmWindow:
+    """The pixels under whose filters a point lies, first and last."""
+
+    x0: wp.int32
+    y0: wp.int32
+    x1: wp.int32
+    y1: wp.int32
+
+
+@wp.func
+def film_window(camera: Camera, at: wp.vec2) -> FilmWindow:
+    """The window of a point, in pixels of the crop window."""
+    r = filter_extent(camera)
+    w = FilmWindow()
+    w.x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
+    w.y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
+    w.x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
+    w.y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
+    return w
+
+
 @functools.cache
 def make_projection(kind: int):
     """Return ``(project, film_gradient, film_velocity)`` of a kind of camera.
@@ -216,17 +238,13 @@ def make_splat():
             return
         if not counts(camera, at):
             return
-        r = filter_extent(camera)
-        x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
-        y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
-        x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
-        y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
-        taps = filter_taps(camera, at[0], x0, camera.crop_width)
-        for y in range(y0, y1 + 1):
+        window = film_window(camera, at)
+        taps = filter_taps(camera, at[0], window.x0, camera.crop_width)
+        for y in range(window.y0, window.y1 + 1):
             h_y = pixel_filter(camera, at[1], y, camera.crop_height)
-            for x in range(x0, x1 + 1):
-                if x - x0 < wp.static(TAP_COUNT):
-                    h = h_y * taps[x - x0]
+            for x in range(window.x0, window.x1 + 1):
+                if x - window.x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - window.x0]
                 else:
                     h = h_y * pixel_filter(camera, at[0], x, camera.crop_width)
                 wp.atomic_add(image, y, x, h * value)
@@ -235,18 +253,14 @@ def make_splat():
     def gather(camera: Camera, at: wp.vec2, adjoint: wp.array2d(dtype=wp.vec3)) -> wp.vec3:
         if not counts(camera, at):
             return wp.vec3(0.0, 0.0, 0.0)
-        r = filter_extent(camera)
-        x0 = wp.max(wp.int32(wp.ceil(at[0] - 0.5 - r)), 0)
-        y0 = wp.max(wp.int32(wp.ceil(at[1] - 0.5 - r)), 0)
-        x1 = wp.min(wp.int32(wp.floor(at[0] - 0.5 + r)), camera.crop_width - 1)
-        y1 = wp.min(wp.int32(wp.floor(at[1] - 0.5 + r)), camera.crop_height - 1)
-        taps = filter_taps(camera, at[0], x0, camera.crop_width)
+        window = film_window(camera, at)
+        taps = filter_taps(camera, at[0], window.x0, camera.crop_width)
         total = wp.vec3(0.0, 0.0, 0.0)
-        for y in range(y0, y1 + 1):
+        for y in range(window.y0, window.y1 + 1):
             h_y = pixel_filter(camera, at[1], y, camera.crop_height)
-            for x in range(x0, x1 + 1):
-                if x - x0 < wp.static(TAP_COUNT):
-                    h = h_y * taps[x - x0]
+            for x in range(window.x0, window.x1 + 1):
+                if x - window.x0 < wp.static(TAP_COUNT):
+                    h = h_y * taps[x - window.x0]
                 else:
                     h = h_y * pixel_filter(camera, at[0], x, camera.crop_width)
                 total += h * adjoint[y, x]
