@@ -112,6 +112,7 @@ def make_place_sink(lights: tuple[int, ...], role: str):
 def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) -> LightMotion:
     """Return the functions; ``role``: "reverse" or "forward"."""
     interaction = make_interaction(config)
+    material_record, add_materials = interaction.bsdf.record, interaction.bsdf.algebra.add
     eval_vjp, delta_vjp = interaction.eval_vjp, interaction.scatter_vjp
     relative_eta = interaction.bsdf.relative_eta
     has_smooth = eval_vjp is not None
@@ -173,6 +174,7 @@ def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) ->
             result.received += wp.cw_mul(vertex.beta, carry.received)
             w = vertex.factor * wp.cw_mul(flux, carry.received)
             wo = enter_frame(at.frame, vertex.wo)
+            a_material = material_record()
             if wp.static(has_smooth):
                 if vertex.lobe == LOBE_SMOOTH:
                     value = wp.dot(wp.cw_mul(flux, carry.received), vertex.beta)
@@ -187,10 +189,7 @@ def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) ->
                     a_n += turned.n
                     adjoint.tangent += turned.tangent
                     a_d -= turned.wo
-                    adjoint, dot = accumulate_material(
-                        scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, fa.material, adjoint
-                    )
-                    total += dot
+                    a_material = fa.material
             if wp.static(delta_vjp is not None):
                 if vertex.lobe > LOBE_SMOOTH:
                     a_wo = found.d + carry.a_d
@@ -206,21 +205,18 @@ def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) ->
                                 behind, vertex.lobe, (1.0 / (eta * eta * eta * eta)) * w, wp.vec3(0.0, 0.0, 0.0)
                             )
                             a_local += ba.wi
-                            adjoint, dot_behind = accumulate_material(
-                                scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, ba.material,
-                                adjoint,
-                            )  # fmt: skip
-                            total += dot_behind
+                            a_material = ba.material
                     da = delta_vjp(at, vertex.lobe, w, a_local)
                     # The local direction leaves the frame: the transpose of entering it.
                     bent = frame_vjp(at.frame, surface.tangent, to_light, a_wo, da.wi, wo)
                     a_n += bent.n
                     adjoint.tangent += bent.tangent
                     a_d -= bent.wi
-                    adjoint, dot_delta = accumulate_material(
-                        scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, da.material, adjoint
-                    )
-                    total += dot_delta
+                    a_material = add_materials(a_material, da.material)
+            adjoint, dot = accumulate_material(
+                scene, target, at.slots, vertex.face, vertex.u, vertex.v, surface.uv, a_material, adjoint
+            )
+            total += dot
         adjoint.n = at.frame.side * a_n
 
         # J: what the camera sees.

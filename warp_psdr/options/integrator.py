@@ -29,8 +29,9 @@ class PathIntegrator:
             beside it, where a pilot says that it pays.
         caustics: whether light paths join those of the camera, for light of lights of no area that mirrors or glass
             turn, which no path from the camera finds: in images, and in derivatives by what ``LightTracing()``
-            differentiates; what moves anything raises an error. "auto": with ``interior="auto"``, where all that
-            such a light sends meets mirrors or glass first. False: that light is left out, as by Mitsuba's ``path``.
+            differentiates, what moves vertices with ``boundary=None`` alone. "auto": with ``interior="auto"``, where
+            all that such a light sends meets mirrors or glass first. False: that light is left out, as by Mitsuba's
+            ``path``.
         boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
             gradient of a scene on if a pilot says that it pays; None: left out on purpose (the gradient then misses
             moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both methods.

@@ -58,7 +58,9 @@ class LightTracing(Method):
     It draws the image as well as its derivatives. Lights of no area shine through glass and mirrors, which paths from
     the camera never find. What the camera sees in mirrors and glass themselves, and the lights that it sees, is drawn
     from the camera. Samples a pixel are light paths over pixels, and as many paths from the camera. Derivatives, by
-    record and sweep [NDSRJ20], are by all that moves no vertex of a path (``kernels/interior/light_tracing.py``).
+    record and sweep [NDSRJ20], are by all but the camera and the shapes of lights; by what moves vertices of its paths
+    they are the interior term alone, with ``boundary=None`` (``kernels/interior/light_tracing.py``,
+    ``light_motion.py``).
 
     Attributes:
         block: K, as of ``Replay``.
@@ -87,7 +89,7 @@ class Bidirectional(Method):
 
     A path from the camera finds light by hitting it and by next-event estimation, a light path by being joined to the
     camera; each counts with the balance heuristic over all ways to draw it [Vea97]. It draws the image as well as its
-    derivatives, which are by what ``LightTracing`` differentiates. Samples a pixel are paths from the camera, and as
+    derivatives, which are by what moves no vertex of its paths. Samples a pixel are paths from the camera, and as
     many light paths.
 
     Attributes:
