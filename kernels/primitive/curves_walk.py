@@ -104,7 +104,8 @@ _WALK = (
             if (top == 0)
                 return count;
             --top;
-        } while (stack_t[top] > 1.000002f * t_best);
+            // The key of a box in which the ray starts is the lane alone, next to 0: no farther than a piece at 0.
+        } while (stack_t[top] > 1.000002f * t_best + 1.0e-37f);
         current = stack[top];
     }
     }

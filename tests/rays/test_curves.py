@@ -165,6 +165,30 @@ def test_no_ray_passes_a_curve(plugin: str, radius: float, curl: float, count: i
     assert found[hit, 7:].min() >= 0.0 and found[hit, 7:].max() <= 1.0
 
 
+@pytest.mark.parametrize("plugin", list(KINDS))
+def test_rays_start_in_the_boxes_of_many_pieces(plugin: str) -> None:
+    """They enter all of these at the distance 0, more than come in one call (``curves_walk.BATCH``)."""
+    rng = np.random.default_rng(8)
+    # Thin fibres along a diagonal, whose boxes are thick.
+    across = rng.uniform(-0.05, 0.05, (100, 1, 3))
+    places = across + np.linspace(-1.5, 1.5, 4)[:, None] * np.ones(3)
+    points = np.concatenate([places, np.full((100, 4, 1), 0.004)], axis=2).reshape(-1, 4).astype(np.float32)
+    scene = load(plugin, points, list(range(0, 400, 4)))
+    firsts = scene.description.shapes[0].curves.firsts
+    x, n = (on_tubes if plugin == "bsplinecurve" else on_cones)(rng, points, firsts, 4000)
+    o = rng.uniform(-0.3, 0.3, x.shape).astype(np.float32)
+    d = x - o
+    expected = np.linalg.norm(d, axis=1)
+    d /= expected[:, None]
+    arrays = [wp.array(y, dtype=wp.vec3, device=scene.device) for y in (o - scene.origin, d)]
+    out = wp.zeros((len(x), 9), dtype=wp.float32, device=scene.device)
+    wp.launch(make_trace(KINDS[plugin]), len(x), inputs=[scene.data(), *arrays], outputs=[out], device=scene.device)
+    found = out.numpy()[:, 0]
+    enters = (d * n).sum(axis=1) < -0.05
+    assert enters.sum() > 1000
+    assert ((found > 0.0) & (found < expected + ROUNDING))[enters].all()
+
+
 @pytest.mark.slow
 def test_rays_beside_a_bend_pass() -> None:
     """What passes a tube of constant radius next to its silhouette meets nothing, however little it bends there."""
