@@ -24,7 +24,15 @@ from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, ow
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.topology.grid_silhouettes import Eyes, grid_items, grid_shapes, items_of, may_show
+from warp_psdr.topology.grid_silhouettes import (
+    Eyes,
+    facing_creases,
+    grid_items,
+    grid_shapes,
+    items_of,
+    may_face,
+    may_show,
+)
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 
@@ -173,3 +181,37 @@ def test_items_left_out_have_no_silhouette() -> None:
             slope = [np.einsum("ijk,i,j,k", c, *(rate if a == b else w[b] for b in range(3))) for a in range(3)]
             signs.add(bool(np.dot(slope, corner[i] + place - eye) > 0.0))
         assert len(signs) == 1
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["solid", "hollow"])
+def test_creases_left_out_turn_a_back(sign: float) -> None:
+    """Of a crease that interval arithmetic leaves out a sheet is seen from behind, from anywhere in a box outside."""
+    rng = np.random.default_rng(3)
+    values = sign * (shapes(12)[..., 0] + 0.01 * rng.standard_normal((12, 12, 12))).astype(np.float64)
+    numbers = items_of(values, concave=True)
+    low, high = np.array([20.0, -6.0, 14.0]), np.array([22.0, -3.0, 17.0])
+    faces = may_face(values, numbers, low, high, False)
+    assert 0.3 < faces.mean() < 0.7
+    assert may_face(values, numbers, np.full(3, -1.0), np.full(3, 3.0), False).all()
+    away = np.array([5.5, 5.5, 5.5]) - 0.5 * (low + high)
+    distant = may_face(values, numbers, -away, -away, True)
+    assert (distant == faces).mean() > 0.8
+    node, kind = numbers >> 2, numbers & 3
+    corner = np.stack([node % 12, node // 12 % 12, node // 144], axis=1)
+    hidden = np.flatnonzero(~faces)
+    for i in hidden[:: max(1, len(hidden) // 40)]:
+        turned = np.ones(2, bool)
+        for _ in range(64):
+            place, eye = rng.random(3), low + rng.random(3) * (high - low)
+            place[kind[i]] = 0.0
+            for side in range(2):
+                before = corner[i] - side * np.eye(3, dtype=int)[kind[i]]
+                w = [np.array([1.0 - f, f]) for f in corner[i] + place - before]
+                c = values[tuple(slice(a, a + 2) for a in before[::-1])].transpose(2, 1, 0)
+                rate = np.array([-1.0, 1.0])
+                slope = [np.einsum("ijk,i,j,k", c, *(rate if a == b else w[b] for b in range(3))) for a in range(3)]
+                turned[side] &= bool(sign * np.dot(slope, corner[i] + place - eye) > 0.0)
+        assert turned.any()
+    scene = loaded(values[..., None].astype(np.float32), **ANALYTIC)
+    found = facing_creases(scene, grid_shapes(scene), Eyes(np.array([[20.5, -4.0, 15.0]]) / 11.0, False))
+    assert found is not None and found.aimed == 0 and 0 < len(found.items) <= faces.sum()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
@@ -31,6 +32,7 @@ from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
 from warp_psdr.topology.tube_crossings import resting_end
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
@@ -271,7 +273,7 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
     if reason:
         return f"{reason}, or {ALONE}"
     for i in network_shapes(scene):
-        if is_open_network(*network_and_cells(scene, i)):
+        if kept(scene, ("open network", i), functools.partial(_is_open, scene, i)):
             opened = f"the surface of {shapes[i].path!r} may end at its box, along a curve that moves"
             return f"{opened}; keep phi positive all around, or {ALONE}"
         if scene.builder.curves:
@@ -279,16 +281,21 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
     for find, surface in ((pierced_grid, "surface"), (pierced_tubes, "tubes")):
-        pair = find(scene, moved)
+        pair = kept(scene, (surface, moved), functools.partial(find, scene, moved))
         if pair is not None:
             a, b = (shapes[i].path for i in pair)
             what = f"{b!r} runs through the {surface} of {a!r}" if a != b else f"tubes of {a!r} run through each other"
             return f"{what}, along a curve that moves; move them apart, or {ALONE}"
-    pair = resting_end(scene, moved)
+    pair = kept(scene, ("resting end", moved), lambda: resting_end(scene, moved))
     if pair is not None:
         a, b = (shapes[i].path for i in pair)
         return f"an open end of {a!r} lies on {b!r}, along a line that moves; sink it in or lift it off, or {ALONE}"
     return ""
+
+
+def _is_open(scene: Scene, shape: int) -> bool:
+    """Whether the surface of a network may end at its box."""
+    return is_open_network(*network_and_cells(scene, shape))
 
 
 def refuse_flow(scene: Scene, config: PathConfig) -> None:

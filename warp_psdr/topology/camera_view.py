@@ -143,12 +143,12 @@ class CameraView:
 def camera_view(scene: Scene, sensor: int) -> CameraView:
     """Return the view of a sensor at the scene's present values."""
     camera = scene.camera(sensor)
-    values = scene.values.numpy().astype(np.float64)
-    pose = values[camera.to_world : camera.to_world + 16].reshape(4, 4)
+    values = scene.values.numpy()
+    pose = values[camera.to_world : camera.to_world + 16].astype(np.float64).reshape(4, 4)
     parallel = camera.kind == CAMERA_ORTHOGRAPHIC
     lens = camera.kind == CAMERA_THINLENS
-    k = 1.0 if parallel else np.tan(np.radians(values[camera.x_fov]) / 2.0)
-    offset = np.zeros(2) if parallel else values[camera.principal : camera.principal + 2]
+    k = 1.0 if parallel else np.tan(np.radians(np.float64(values[camera.x_fov])) / 2.0)
+    offset = np.zeros(2) if parallel else values[camera.principal : camera.principal + 2].astype(np.float64)
     return CameraView(
         camera=camera,
         pose=pose,

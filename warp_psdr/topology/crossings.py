@@ -16,6 +16,7 @@ from warp_psdr.topology.exact_shapes import exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
 from warp_psdr.topology.tubes import curve_shapes
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -23,6 +24,10 @@ if TYPE_CHECKING:
 
 def crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | None:
     """Return where shapes without triangles are run through, one of a pair in ``shapes`` (None: any); None: nowhere."""
+    return kept(scene, ("crossings", shapes), lambda: _crossings(scene, shapes))
+
+
+def _crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | None:
     found = []
     corners = scene.points[scene.builder.indices].astype(np.float64)
     for i in exact_shapes(scene):

@@ -16,6 +16,7 @@ from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.network_silhouettes import network_shapes, passed_cells
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -59,6 +60,10 @@ class Passed:
 
 def passed_by(scene: Scene, shape: int) -> Passed:
     """Return where the surface of a grid or of a network passes."""
+    return kept(scene, ("passed by", shape), lambda: _passed_by(scene, shape))
+
+
+def _passed_by(scene: Scene, shape: int) -> Passed:
     if scene.description.shapes[shape].network is not None:
         network, found = network_and_cells(scene, shape)
         at, n = passed_cells(found), float(network.count)

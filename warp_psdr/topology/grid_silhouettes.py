@@ -9,6 +9,7 @@ arithmetic bounds Psi: what is left out has no silhouette.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Hashable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import VOXEL_ITEM, GridIt
 from warp_psdr.scene.sdfgrid import bezier_values, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -99,11 +101,34 @@ def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
         high: the greatest ones.
         distant: the eyes are directions.
     """
+    least, most = _bounds(values, numbers, low, high, distant)
+    return ~((least > 0.0).all(axis=0) | (most < 0.0).all(axis=0))
+
+
+def may_face(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:
+    """Return which items may turn both their sides to some eye of a box; arguments as of ``may_show``.
+
+    From outside of the grid its surface, which is closed, is seen from there alone; from a box that reaches into the
+    grid all items may be.
+    """
+    nz, ny, nx = values.shape
+    if not distant and (high >= 0.0).all() and (low <= [nx - 1, ny - 1, nz - 1]).all():
+        return np.ones(len(numbers), bool)
+    least, most = _bounds(values, numbers, low, high, distant)
+    # Towards the eye phi grows, which Psi counts along the ray; a direction leads towards the eye.
+    grows = (values[0, 0, 0] > 0.0) == distant
+    return ((most >= 0.0) if grows else (least <= 0.0)).all(axis=0)
+
+
+def _bounds(
+    values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return bounds (2, N) of Psi, rounding included, on the two sides of faces; of voxels twice the same."""
     _nz, ny, nx = values.shape
     node, kind = numbers >> 2, numbers & 3
     corner = np.stack([node % nx, node // nx % ny, node // (nx * ny)], axis=1).astype(np.float64)
     stride, flat = (1, nx, nx * ny), values.reshape(-1)
-    shown = np.zeros(len(numbers), bool)
+    lower, upper = np.zeros((2, len(numbers))), np.zeros((2, len(numbers)))
     for k in range(VOXEL + 1):
         rows = np.flatnonzero(kind == k)
         place, first = corner[rows], node[rows]
@@ -118,13 +143,12 @@ def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
             free = [stride[other] for other in range(3) if other != k]
             before = interval_product(_slopes(flat, first - stride[k], stride[k], free), [end[..., k] for end in away])
             sides.append([before if axis == k else term for axis, term in enumerate(terms)])
-        above, below = np.ones(len(rows), bool), np.ones(len(rows), bool)
-        for side in sides:
+        for number in range(2):
+            side = sides[min(number, len(sides) - 1)]
             slack = ROUNDING * sum(np.maximum(-least, most) for least, most in side)
-            above &= sum(least for least, _most in side) > slack
-            below &= sum(most for _least, most in side) < -slack
-        shown[rows] = ~(above | below)
-    return shown
+            lower[number, rows] = sum(least for least, _most in side) - slack
+            upper[number, rows] = sum(most for _least, most in side) + slack
+    return lower, upper
 
 
 def spline_may_show(
@@ -170,11 +194,16 @@ def interval_product(a: list[np.ndarray], b: list[np.ndarray]) -> tuple[np.ndarr
 
 def seen_from(scene: Scene, shape: int, values: np.ndarray, numbers: np.ndarray, eyes: Eyes) -> np.ndarray:
     """Return which items of a shape may hold a silhouette from some eye."""
+    may = spline_may_show if is_smooth_grid(scene, shape) else may_show
+    return may(values, numbers, *_in_voxels(scene, shape, values, eyes), eyes.distant)
+
+
+def _in_voxels(scene: Scene, shape: int, values: np.ndarray, eyes: Eyes) -> tuple[np.ndarray, np.ndarray]:
+    """Return the ends (3,) of the box around eyes, in voxels of a shape."""
     linear, origin = pose(scene, shape)
     cells = np.array(values.shape[::-1]) - 1.0
     local = (eyes.corners if eyes.distant else eyes.corners - origin) @ np.linalg.inv(linear).T * cells
-    may = spline_may_show if is_smooth_grid(scene, shape) else may_show
-    return may(values, numbers, local.min(axis=0), local.max(axis=0), eyes.distant)
+    return local.min(axis=0), local.max(axis=0)
 
 
 def camera_eyes(scene: Scene, sensor: int) -> Eyes:
@@ -188,6 +217,10 @@ def camera_eyes(scene: Scene, sensor: int) -> Eyes:
 
 def light_eyes(scene: Scene, kinds: frozenset[int] | None = None) -> list[Eyes] | None:
     """Return where each light is, of some kinds or (None) of all; None: one is everywhere."""
+    return kept(scene, ("light eyes", kinds), lambda: _light_eyes(scene, kinds))
+
+
+def _light_eyes(scene: Scene, kinds: frozenset[int] | None) -> list[Eyes] | None:
     found, b, values = [], scene.builder, scene.values.numpy()
     for number, e in enumerate(b.emitters):
         if kinds is not None and e.kind not in kinds:
@@ -217,26 +250,53 @@ def grid_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None, concave
 
     ``concave`` as of ``items_of``. None: there are no items.
     """
-    listed = []
-    for shape in shapes:
-        values, numbers = _items_now(scene, shape, concave)
-        seen = np.full(len(numbers), eyes is None)
-        for e in eyes or []:
-            seen |= seen_from(scene, shape, values, numbers, e)
-        listed.append((shape, numbers, seen))
-    return gathered(scene, listed)
+
+    def find() -> GridItems | None:
+        listed = []
+        for shape in shapes:
+            values = grid_values(scene, shape)
+            numbers = _items_now(scene, shape, concave)
+            seen = np.full(len(numbers), eyes is None)
+            for e in eyes or []:
+                seen |= seen_from(scene, shape, values, numbers, e)
+            listed.append((shape, numbers, seen))
+        return gathered(scene, listed)
+
+    return copied(kept(scene, ("grid items", tuple(shapes), named(eyes), concave), find))
 
 
-def _items_now(scene: Scene, shape: int, concave: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the values of a grid, and its items, kept until a value changes."""
-    values = grid_values(scene, shape)
-    kept = scene.__dict__.setdefault("_grid_items", {})
-    if shape not in kept or not np.array_equal(kept[shape][0], values):
-        kept[shape] = (values, {})
-    found = kept[shape][1]
-    if concave not in found:
-        found[concave] = items_of(values, concave, is_smooth_grid(scene, shape))
-    return values, found[concave]
+def facing_creases(scene: Scene, shapes: list[int], eyes: Eyes) -> GridItems | None:
+    """Return the creases of some linear grids, concave ones included, that eyes may see from the front; None: none."""
+
+    def find() -> GridItems | None:
+        listed = []
+        for shape in shapes:
+            values, numbers = grid_values(scene, shape), _items_now(scene, shape, True)
+            faces = may_face(values, numbers, *_in_voxels(scene, shape, values, eyes), eyes.distant)
+            listed.append((shape, numbers[faces], np.zeros(int(faces.sum()), bool)))
+        return gathered(scene, listed)
+
+    return copied(kept(scene, ("facing creases", tuple(shapes), named([eyes])), find))
+
+
+def _items_now(scene: Scene, shape: int, concave: bool) -> np.ndarray:
+    """Return the items of a grid."""
+    key = ("items of a grid", shape, concave)
+    return kept(scene, key, lambda: items_of(grid_values(scene, shape), concave, is_smooth_grid(scene, shape)))
+
+
+def named(eyes: list[Eyes] | None) -> Hashable:
+    """Return what tells eyes from others."""
+    return None if eyes is None else tuple((e.corners.tobytes(), e.distant) for e in eyes)
+
+
+def copied(found: GridItems | None) -> GridItems | None:
+    """Return a record of the same items, with members of its own."""
+    if found is None:
+        return None
+    own = GridItems()
+    own.items, own.aimed, own.share = found.items, found.aimed, found.share
+    return own
 
 
 def only(found: GridItems | None, creases: bool) -> GridItems | None:

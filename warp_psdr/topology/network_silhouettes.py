@@ -16,7 +16,8 @@ from warp_psdr.scene.description import Network
 from warp_psdr.scene.network import network_and_cells
 from warp_psdr.scene.network_bounds import OFFSETS, bounds_of, in_parts, single
 from warp_psdr.topology.exact_shapes import pose
-from warp_psdr.topology.grid_silhouettes import VOXEL, Eyes, gathered
+from warp_psdr.topology.grid_silhouettes import VOXEL, Eyes, copied, gathered, named
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -65,6 +66,11 @@ def seen_cells(network: Network, at: np.ndarray, low: np.ndarray, high: np.ndarr
 
 def network_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None) -> GridItems | None:
     """Return the items of some networks, as ``grid_silhouettes.grid_items``."""
+    key = ("network items", tuple(shapes), named(eyes))
+    return copied(kept(scene, key, lambda: _network_items(scene, shapes, eyes)))
+
+
+def _network_items(scene: Scene, shapes: list[int], eyes: list[Eyes] | None) -> GridItems | None:
     listed = []
     for shape in shapes:
         network, cells = network_and_cells(scene, shape)

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_psdr.topology.contacts import along_sides
 from warp_psdr.topology.edges import moving_edges, scene_adjacency, sides_of, upload
+from warp_psdr.topology.outermost import outermost_edges
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.boundary.local_form import Edges
@@ -34,9 +35,14 @@ def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
 
 
 def secondary_candidates(scene: Scene, shapes: set[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Return the numbers of the edges that can be a silhouette, and their probabilities."""
+    """Return the numbers of the edges that can be a silhouette, and their probabilities.
+
+    Beside shapes without triangles those that no segment passes are left out.
+    """
     edges = scene_adjacency(scene)
     weight = edges.length * edges.wedge
+    if scene.builder.primitives:
+        weight = np.where(outermost_edges(scene), 0.0, weight)
     keep = np.flatnonzero(weight > 0.0)
     if not len(keep):
         return keep, np.zeros(0)

@@ -15,10 +15,11 @@ from warp_psdr.device import launch
 from warp_psdr.kernels.primitive.curves_overlap import FINER, find_overlaps, find_pierced
 from warp_psdr.scene.curve_points import coefficients, world_points
 from warp_psdr.scene.sdfgrid import is_passed
-from warp_psdr.topology.camera_view import camera_view
+from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.tubes import curve_shapes
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -147,6 +148,11 @@ def require_uncut_tubes(scene: Scene, sensor: int, shapes: list[int]) -> None:
         ValueError: the derivative of that border is in no term.
     """
     view = camera_view(scene, sensor)
+    key = ("uncut tubes", view.numbers(), tuple(shapes))
+    kept(scene, key, lambda: _require_uncut(scene, view, sensor, shapes))
+
+
+def _require_uncut(scene: Scene, view: CameraView, sensor: int, shapes: list[int]) -> None:
     axis = np.linalg.inv(view.pose[:3, :3])[2]
     for i in shapes:
         cones = _cones(scene, i)

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.tube_points import TubeItems
 from warp_psdr.scene.curve_points import coefficients, world_points
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -77,6 +78,15 @@ def tube_items(scene: Scene, shapes: list[int], creases: bool) -> TubeItems | No
         shapes: their numbers.
         creases: with the creases at joints of straight segments.
     """
+    found = kept(scene, ("tube items", tuple(shapes), creases), lambda: _tube_items(scene, shapes, creases))
+    if found is None:
+        return None
+    own = TubeItems()
+    own.items, own.cdf, own.share = found.items, found.cdf, found.share
+    return own
+
+
+def _tube_items(scene: Scene, shapes: list[int], creases: bool) -> TubeItems | None:
     pairs, sizes = [], []
     for shape in shapes:
         curves = scene.description.shapes[shape].curves

@@ -8,11 +8,11 @@ from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
 from warp_psdr.options.boundary import PathSpace
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+from warp_psdr.topology.grid_silhouettes import camera_eyes, facing_creases, grid_shapes
 
-#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``): where
-#: single values move the surface, and where a pose or the camera does.
-SHARE_OF_VALUES, SHARE = 1.0 / 8.0, 1.0 / 2.0
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``): where single values move the
+#: surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 16.0, 1.0 / 4.0
 
 
 def applies(r: Request) -> bool:
@@ -23,7 +23,7 @@ def applies(r: Request) -> bool:
 def launch(r: Request) -> Term | None:
     """Return the term of the creases that the camera sees."""
     shapes = [i for i in grid_shapes(r.scene, False) if r.moves.camera or i in r.moves.shapes]
-    found = grid_items(r.scene, shapes, [], concave=True)
+    found = facing_creases(r.scene, shapes, camera_eyes(r.scene, r.sensor))
     if found is None:
         return None
     kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, True)

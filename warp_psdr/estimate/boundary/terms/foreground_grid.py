@@ -17,8 +17,10 @@ from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, only
 
 #: Vertices of the shortest path: x_1, one on a grid, and one on a light.
 SHORTEST = 3
-#: Samples over those of what silhouettes hide, and of creases (``docs/theory/implicit.md#shares-of-the-samples``).
-SHARE, SHADING_SHARE = 1.0 / 4.0, 1.0 / 8.0
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``) of silhouettes, and of creases: where
+#: single values move the surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 16.0, 1.0 / 4.0
+SHADING_SHARE_OF_VALUES, SHADING_SHARE = 1.0 / 24.0, 1.0 / 8.0
 
 
 def applies(r: Request) -> bool:
@@ -36,17 +38,18 @@ def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool
     kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
     found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
     found = found if r.creases is None else only(found, r.creases)
-    return launch_items(r, term, kernel, found, SHADING_SHARE if shading else SHARE)
+    return launch_items(r, term, kernel, found, shading)
 
 
 def launch_items(
-    r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None, share: float = SHARE
+    r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridItems | None, shading: bool = False
 ) -> Term | None:
-    """Return the term of items, with a share of the samples."""
+    """Return the term of items; ``shading``: of creases that are seen from the front."""
     if found is None:
         return None
+    of_values, of_pose = (SHADING_SHARE_OF_VALUES, SHADING_SHARE) if shading else (SHARE_OF_VALUES, SHARE)
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
-    return launch_with(r, term, kernel, head, share)
+    return launch_with(r, term, kernel, head, of_values if r.moves.values else of_pose)
 
 
 def launch_with(r: Request, term: BoundaryTerm, kernel: wp.Kernel, head: list, share: float) -> Term:

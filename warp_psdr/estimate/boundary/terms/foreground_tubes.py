@@ -13,8 +13,9 @@ from warp_psdr.topology.tubes import curve_shapes, tube_items
 
 #: Vertices of the shortest path: x_1, one on a curve, and one on a light.
 SHORTEST = 3
-#: Samples over those of what silhouettes hide (``docs/theory/implicit.md#shares-of-the-samples``).
-SHARE = 1.0 / 3.0
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``): where control points move the
+#: surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 16.0, 1.0 / 3.0
 
 
 def applies(r: Request) -> bool:
@@ -28,7 +29,8 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_foreground_tube_kernel(r.config, r.role, r.moves.camera)
-    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * SHARE)
+    share = SHARE_OF_VALUES if r.moves.values else SHARE
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)
 
 

@@ -14,8 +14,9 @@ from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes, only
 
-#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``).
-SHARE = 1.0 / 4.0
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``): where single values move the
+#: surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 10.0, 1.0 / 4.0
 
 
 def applies(r: Request) -> bool:
@@ -37,7 +38,8 @@ def launch_items(r: Request, term: BoundaryTerm, kernel: wp.Kernel, found: GridI
     if found is None or found.aimed == 0:
         return None
     found.items = found.items[: found.aimed]
-    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * SHARE)
+    share = SHARE_OF_VALUES if r.moves.values else SHARE
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
     return term_of(r, term, kernel, [r.scene.data(), r.camera, found], samples)
 
 

@@ -11,8 +11,9 @@ from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.tube_contacts import require_uncut_tubes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
 
-#: Samples over those of segments between path vertices (``docs/theory/implicit.md#shares-of-the-samples``).
-SHARE = 1.0 / 2.0
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``): where control points move the
+#: surface, and where a pose or the camera does.
+SHARE_OF_VALUES, SHARE = 1.0 / 6.0, 1.0 / 2.0
 
 
 def applies(r: Request) -> bool:
@@ -30,7 +31,8 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_primary_tube_kernel(r.config, r.role, r.moves.camera)
-    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * SHARE)
+    share = SHARE_OF_VALUES if r.moves.values else SHARE
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
 
 

@@ -115,6 +115,12 @@ class Request:
         return self.moves.camera or self.config.material_first
 
     @property
+    def values_alone(self) -> bool:
+        """Whether all that moves are shapes without triangles, and single values of theirs do."""
+        others = self.moves.camera or self.moves.light_pose or self.moves.shapes - set(self.scene.builder.primitives)
+        return self.moves.values and not others
+
+    @property
     def vertex_motion(self) -> Motion:
         """What moves path vertices against each other: not the camera, unless first vertices slide along its rays."""
         return replace(self.moves, camera=False) if self.config.material_first else self.moves

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 from warp_psdr import compiler
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.estimate.boundary.terms.secondary_grid import SHARE_OF_VALUES
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
@@ -35,7 +38,8 @@ def launch(r: Request) -> Term | None:
         edges, guide = store.guide(r, guiding, seeds)
     if edges is None:
         return None
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    share = SHARE_OF_VALUES if r.values_alone else 1.0
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(
         r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.vertex_motion), guide], samples
     )

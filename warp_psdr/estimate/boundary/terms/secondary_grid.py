@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,9 @@ from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_e
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
+
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``) where single values move the surface.
+SHARE_OF_VALUES = 5.0 / 16.0
 
 
 def applies(r: Request) -> bool:
@@ -49,7 +53,8 @@ def launch_items(
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
     touched = Touched(record=found, listed=listed, unlit=found.share == 1.0)
     kernel, guide = guided_kernel(r, term.name, make, head, found.items.shape[0], touched=touched)
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    share = SHARE_OF_VALUES if r.moves.values else 1.0
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(r, term, kernel, [*head, guide], samples)
 
 

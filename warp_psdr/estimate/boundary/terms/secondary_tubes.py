@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import warp as wp
 
@@ -14,6 +16,10 @@ from warp_psdr.kernels.primitive.dispatch import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
+
+#: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``) where control points move the
+#: surface.
+SHARE_OF_VALUES = 1.0 / 6.0
 
 
 def applies(r: Request) -> bool:
@@ -37,7 +43,8 @@ def launch(r: Request) -> Term | None:
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
     touched = Touched(record=found, listed=listed)
     kernel, guide = guided_kernel(r, TERM.name, make, head, found.items.shape[0], touched=touched)
-    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    share = SHARE_OF_VALUES if r.moves.values else 1.0
+    samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(r, TERM, kernel, [*head, guide], samples)
 
 
