@@ -43,6 +43,7 @@ def launch_shards(
     shards: int,
     device,
     progress: Callable[[float], None] | None = None,
+    least: int = workers.MIN_CHUNK,
 ) -> None:
     """Run a kernel over items: in one launch on CUDA, in shards on the worker threads on the CPU.
 
@@ -54,12 +55,13 @@ def launch_shards(
         shards: on the CPU; independent of the number of workers.
         device: Warp device.
         progress: called with the finished fraction, by one worker at a time; not on CUDA.
+        least: items of a launch, as long as every shard gets some.
     """
     compiler.ensure([kernel], device)
     if not device.is_cpu:
         launch(kernel, count, *arguments(0, count, 0), device)
         return
-    parts = workers.chunks(count, shards)
+    parts = workers.chunks(count, shards, least)
     done, lock = 0, threading.Lock()
 
     def shard(i: int) -> None:

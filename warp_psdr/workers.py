@@ -8,6 +8,7 @@ results are the same bit for bit for any number of workers.
 from __future__ import annotations
 
 import functools
+import math
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -73,9 +74,12 @@ def shard_count(floats: int) -> int:
     return max(2, min(SHARDS, SHARD_FLOATS // max(floats, 1)))
 
 
-def chunks(pixels: int, shards: int) -> list[list[tuple[int, int]]]:
-    """Split ``pixels`` into launches (first, count) and deal them out to shards in turn."""
-    size = min(max(pixels // (4 * shards), MIN_CHUNK), MAX_CHUNK)
+def chunks(pixels: int, shards: int, least: int = MIN_CHUNK) -> list[list[tuple[int, int]]]:
+    """Split ``pixels`` into launches (first, count) and deal them out to shards in turn.
+
+    ``least``: so many in each, as long as every shard gets some.
+    """
+    size = min(max(pixels // (4 * shards), MIN_CHUNK, min(least, math.ceil(pixels / shards))), MAX_CHUNK)
     result: list[list[tuple[int, int]]] = [[] for _ in range(shards)]
     for i, first in enumerate(range(0, pixels, size)):
         result[i % shards].append((first, min(size, pixels - first)))

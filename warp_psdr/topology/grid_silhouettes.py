@@ -102,7 +102,7 @@ def may_show(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
         distant: the eyes are directions.
     """
     least, most = _bounds(values, numbers, low, high, distant)
-    return ~((least > 0.0).all(axis=0) | (most < 0.0).all(axis=0))
+    return ~(np.all(least > 0.0, axis=0) | np.all(most < 0.0, axis=0))
 
 
 def may_face(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:
@@ -117,7 +117,7 @@ def may_face(values: np.ndarray, numbers: np.ndarray, low: np.ndarray, high: np.
     least, most = _bounds(values, numbers, low, high, distant)
     # Towards the eye phi grows, which Psi counts along the ray; a direction leads towards the eye.
     grows = (values[0, 0, 0] > 0.0) == distant
-    return ((most >= 0.0) if grows else (least <= 0.0)).all(axis=0)
+    return np.all(most >= 0.0 if grows else least <= 0.0, axis=0)
 
 
 def _bounds(

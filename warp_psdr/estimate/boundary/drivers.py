@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from warp_psdr.estimate.gradient_sums import GradientSums
     from warp_psdr.scene.scene import Scene
 
+#: Samples of a launch beside shapes without triangles: to prepare one takes as long as some hundred samples.
+LEAST = 1024
 #: Images of forward mode's shards together hold at most this many floats (64 MB).
 SHARD_IMAGE_FLOATS = 1 << 24
 
@@ -87,10 +89,11 @@ def _run(
 ) -> None:
     """Launch the samples of a term; ``outputs``: of a shard."""
     count = _checked(term).samples
+    least = LEAST if scene.builder.primitives else workers.MIN_CHUNK
     with counting(scene, term.kind, count, shards) as of_shard:
 
         def arguments(first: int, _count: int, shard: int) -> tuple[list, list]:
             data, *rest = term.inputs(first, adjoint)
             return [of_shard(data, shard), *rest], outputs(shard)
 
-        launch_shards(term.kernel, count, arguments, shards=shards, device=scene.device, progress=progress)
+        launch_shards(term.kernel, count, arguments, shards=shards, device=scene.device, progress=progress, least=least)
