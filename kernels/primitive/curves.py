@@ -42,6 +42,8 @@ HEADER = 29
 MOST_SEGMENTS = 1048576
 #: By how much boxes grow, over the distance of the ray's origin from the coordinates' own: rounding.
 GROWTH = 4.0e-7
+#: Rate at which the distance from a cone falls along a ray, at least, where a Newton's step mends rounding.
+STEEP = 1.0e-3
 
 
 @wp.struct
@@ -220,6 +222,21 @@ def enter_sphere(p: wp.vec4, d: wp.vec3) -> wp.float32:
 
 
 @wp.func
+def mended(p: wp.vec3, d: wp.vec3, b: wp.vec3, radius: wp.float32, slope: wp.float32) -> wp.float32:
+    """Newton's step along d from p, next to a cone as ``enter_cone``'s, onto it.
+
+    The point that a ray which runs along the axis is next to is far away, and what is counted from there is rounded.
+    """
+    inverse = 1.0 / wp.dot(b, b)
+    s = inverse * wp.dot(p, b)
+    s1 = inverse * wp.dot(d, b)
+    beside = p - s * b
+    away = wp.length(beside)
+    fall = wp.dot(beside, d - s1 * b) / wp.max(away, 1.0e-30) - slope * s1
+    return wp.where(fall < -wp.static(STEEP), (radius + slope * s - away) / fall, 0.0)
+
+
+@wp.func
 def enter_segment(p0: wp.vec4, p1: wp.vec4, d: wp.vec3) -> wp.vec2:
     """Where the ray t d, |d| = 1, enters the convex hull of two spheres: (t, place v from one to the other).
 
@@ -236,9 +253,10 @@ def enter_segment(p0: wp.vec4, p1: wp.vec4, d: wp.vec3) -> wp.vec2:
         # The spheres touch a cone along circles that do not lie above their centres.
         share = 1.0 / wp.sqrt(inner / squared)
         at = enter_cone(-xyz(p0), d, b, share * p0[3], -share * fall)
-        v = (at.step * squared - p0[3] * fall) / inner
-        if at.misses == 0 and v >= 0.0 and v <= 1.0 and at.t < best[0]:
-            best = wp.vec2(at.t, v)
+        t = at.t + mended(at.t * d - xyz(p0), d, b, share * p0[3], -share * fall)
+        v = (wp.dot(t * d - xyz(p0), b) - p0[3] * fall) / inner
+        if at.misses == 0 and v >= 0.0 and v <= 1.0 and t < best[0]:
+            best = wp.vec2(t, v)
     return best
 
 

@@ -22,7 +22,7 @@ BERNSTEIN = wp.types.vector(length=10, dtype=wp.float32)
 #: rounding: between them phi is less than 2^-26 of its second derivative.
 DEEPEST = 12
 #: Coefficients over the greatest value of a voxel that are rounding.
-FAINT = 4.0e-7
+FAINT = 1.0e-7
 
 
 @wp.func

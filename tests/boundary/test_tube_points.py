@@ -24,7 +24,7 @@ def measure(
     ways: wp.array(dtype=wp.vec3),
     out: wp.array2d(dtype=wp.float32),
 ):
-    """One over the density of a point and a direction, drawn by itself and towards a direction of light."""
+    """One over the density of a point and a direction, drawn by itself and towards light; of open ends."""
     i = wp.tid()
     n, along, chance = choose_tube(found, wp.float64(u[i, 0]))
     item = found.items[n]
@@ -36,6 +36,9 @@ def measure(
         out[i, 0] = share
         out[i, 1] = wp.abs(share)
         out[i, 4] = wp.float32(bin_of(own.point.x, own.w))
+    if own.point.valid == 1 and own.point.rim == 1:
+        out[i, 6] = 1.0 / (chance * own_touch_density(own.point, own.w, 0.0))
+        out[i, 7] = wp.float32(bin_of(own.point.e, own.w))
     w = ways[i]
     seen = tube_seen(scene, tri, item[0], item[1], w, True, along, u[i, 1])
     if seen.valid == 1 and seen.rim == 0:
@@ -45,7 +48,7 @@ def measure(
 
 
 def measured(plugin: str, points: np.ndarray) -> np.ndarray:
-    """Return what ``measure`` writes, (COUNT, 6)."""
+    """Return what ``measure`` writes, (COUNT, 8)."""
     scene = psdr.load_dict(
         {
             "type": "scene",
@@ -57,7 +60,7 @@ def measured(plugin: str, points: np.ndarray) -> np.ndarray:
     rng = np.random.default_rng(0)
     ways = rng.standard_normal((COUNT, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
-    out = wp.zeros((COUNT, 6), dtype=wp.float32, device=scene.device)
+    out = wp.zeros((COUNT, 8), dtype=wp.float32, device=scene.device)
     found = tube_items(scene, curve_shapes(scene), creases=False)
     inputs = [wp.array(rng.random((COUNT, 4)), dtype=wp.float32), wp.array(ways, dtype=wp.vec3)]
     wp.launch(measure, dim=COUNT, inputs=[scene.data(), found, *inputs], outputs=[out], device=scene.device)
@@ -75,15 +78,16 @@ def test_all_lines_that_touch_a_cone_with_its_spheres() -> None:
     # circles of touch: radii r0 s and r1 s, slant l s, s^2 = 1 - k^2.
     k = (r0 - r1) / length
     by_radius = 2.0 * np.pi * length * (1.0 - k * k) + 4.0 * np.pi * (r0 * (1.0 + k) + r1 * (1.0 - k))
-    means, errors = mean_and_error(
-        measured("linearcurve", np.array([[0.1, 0.0, 0.0, r0], [0.1 + length, 0.0, 0.0, r1]]))
-    )
+    values = measured("linearcurve", np.array([[0.1, 0.0, 0.0, r0], [0.1 + length, 0.0, 0.0, r1]]))
+    means, errors = mean_and_error(values)
     for place in (0, 3):
         assert abs(means[place] - np.pi * by_radius) < 4.0 * errors[place] + 1e-4 * means[place]
+    assert_shares_agree([(values[:, 1], values[:, 4]), (values[:, 3], values[:, 5])])
 
 
 def test_all_lines_that_touch_a_bent_tube() -> None:
     """A radius that grows sweeps the normals: the integral of the mean curvature is dS/dr, 2 pi times the length."""
+    rng = np.random.default_rng(2)
     k = np.linspace(0.0, 1.0, 8)
     points = np.column_stack([2.4 * k - 1.2, 0.4 * np.cos(7.0 * k), 0.4 * np.sin(7.0 * k), 0.0 * k + 0.16])
     a = coefficients(points, np.arange(5))
@@ -97,6 +101,17 @@ def test_all_lines_that_touch_a_bent_tube() -> None:
     assert abs(means[3] - means[1]) < 4.0 * np.hypot(errors[1], errors[3])
     assert means[2] < 1e-4
     assert_shares_agree([(values[:, 1], values[:, 4]), (values[:, 3], values[:, 5])])
+    # Open ends are circles across the axis: |dx/du x w| du dsigma, by points that are uniform along them.
+    ends = np.stack([a[1, 0], a[1, 4] + 2.0 * a[2, 4] + 3.0 * a[3, 4]])[rng.integers(0, 2, COUNT), :3]
+    e = np.cross(ends, rng.standard_normal((COUNT, 3)))
+    e /= np.linalg.norm(e, axis=1)[:, None]
+    w = rng.standard_normal((COUNT, 3))
+    w /= np.linalg.norm(w, axis=1)[:, None]
+    tangent = np.cross(ends / np.linalg.norm(ends, axis=1)[:, None], e)
+    shares = 2.0 * (2.0 * np.pi * 0.16) * 4.0 * np.pi * np.linalg.norm(np.cross(tangent, w), axis=1)
+    axis = np.abs(w).argmax(axis=1)
+    bins = 6 * ((e > 0.0) @ [1, 2, 4]) + 2 * axis + (w[np.arange(COUNT), axis] > 0.0)
+    assert_shares_agree([(values[:, 6], values[:, 7]), (shares, bins)])
 
 
 @wp.kernel(module="unique", enable_backward=False)

@@ -134,6 +134,7 @@ def make_search(phi: wp.Function) -> wp.Kernel:
         values: wp.array(dtype=wp.float64),
         n: wp.vec3i,
         slopes: wp.vec3d,  # largest |dphi/dq| along each axis
+        steepest: wp.float64,  # and along any direction
         o: wp.array(dtype=wp.vec3d),
         d: wp.array(dtype=wp.vec3d),
         margin: wp.array(dtype=wp.float64),  # how far within the box rays are for sure
@@ -160,6 +161,7 @@ def make_search(phi: wp.Function) -> wp.Kernel:
         if found[i] >= wp.float64(0.0):
             out[i, 3] = phi(values, n, a + found[i] * w)
             far = wp.min(far, found[i])
+        rate = wp.min(rate, steepest * wp.length(w))
         out[i, 4] = wp.where(near < far, wp.float64(1.0), wp.float64(0.0))
         step = wp.float64(1.0) / (STEPS * fastest)
         t = near

@@ -57,12 +57,14 @@ class Body:
     high: np.ndarray = field(default_factory=lambda: np.ones(3))
 
 
-def boxed(phi: wp.Function, values: np.ndarray, n: tuple[int, int, int], slopes: np.ndarray) -> tuple:
+def boxed(
+    phi: wp.Function, values: np.ndarray, n: tuple[int, int, int], slopes: np.ndarray, steepest: float
+) -> tuple[Callable, Callable]:
     """Return ``search`` and ``surface`` of a ``Body`` in the box; ``n``: nodes along x, y, z."""
     held = wp.array(values, dtype=wp.float64, device="cpu")
 
     def search(*rays: np.ndarray) -> np.ndarray:
-        return launch(make_search(phi), [held, wp.vec3i(*n), wp.vec3d(*slopes)], *rays)
+        return launch(make_search(phi), [held, wp.vec3i(*n), wp.vec3d(*slopes), steepest], *rays)
 
     def at(p: np.ndarray) -> np.ndarray:
         # A ray that ends where it starts.
@@ -86,14 +88,14 @@ def grid_body(cubic: bool, random: np.random.Generator) -> Body:
     grid = (grid - 0.5 * (grid.min() + grid.max()) * (choice < 2)).astype(np.float32)
     n = grid.shape[::-1]
     steepest = [np.abs(np.diff(grid.astype(np.float64), axis=2 - k)).max() * (n[k] - 1) for k in range(3)]
-    search, surface = boxed(cubic_field if cubic else linear_field, grid.reshape(-1), n, np.array(steepest))
+    slope, field_of = float(np.linalg.norm(steepest)), cubic_field if cubic else linear_field
+    search, surface = boxed(field_of, grid.reshape(-1), n, np.array(steepest), slope)
     plugin = {"type": "sdfgrid", "grid": grid, **({"interpolation": "cubic"} if cubic else {})}
     if random.random() < 0.5:
         turn = psdr.Transform.rotate([1, 2, 3], 360.0 * random.random()).scale(random.uniform(0.5, 2.0, 3).tolist())
         plugin["to_world"] = turn
     nodes = np.argwhere(np.ones(n)) / (np.array(n) - 1)
-    slope, scale = float(np.linalg.norm(steepest)), float(np.abs(grid).max())
-    return Body(plugin, test_sdfgrid.trace, 7, search, surface, nodes, slope, scale)
+    return Body(plugin, test_sdfgrid.trace, 7, search, surface, nodes, slope, float(np.abs(grid).max()))
 
 
 def network_body(random: np.random.Generator) -> Body:
@@ -108,13 +110,14 @@ def network_body(random: np.random.Generator) -> Body:
     for weight, bias in net.layers:
         values += [*weight.astype(np.float32).reshape(-1), *bias.astype(np.float32)]
     p, h = random.random((20_000, 3)), 1e-5
-    slopes = np.array([np.abs(net.phi(p + e) - net.phi(p - e)).max() / (2 * h) for e in h * np.eye(3)])
-    # Samples alone know the slope: half of it more.
-    search, surface = boxed(network_field, np.array(values, dtype=np.float64), (33, 33, 33), 1.5 * slopes)
+    slopes = np.abs([net.phi(p + e) - net.phi(p - e) for e in h * np.eye(3)]) / (2.0 * h)
+    slope = float(np.linalg.norm(slopes, axis=0).max())
+    # Samples alone know the slope: a quarter of it more.
+    most, held = 1.25 * slopes.max(axis=1), np.array(values, dtype=np.float64)
+    search, surface = boxed(network_field, held, (33, 33, 33), most, 1.25 * slope)
     weight, bias = net.layers[-1]
     scale = float((np.abs(net.hidden(p)) @ np.abs(weight[0]) + np.abs(bias[0])).max())
     nodes = np.argwhere(np.ones((33, 33, 33))) / 32.0
-    slope = float(np.linalg.norm(slopes))
     return Body(net.plugin(), test_neuralsdf.trace, 7, search, surface, nodes, slope, scale)
 
 
@@ -124,7 +127,10 @@ def cone_trace() -> wp.Kernel:
 
 
 def cone_body(random: np.random.Generator) -> Body:
-    points, starts = test_curves.hair(random, "linearcurve", float(np.exp(random.uniform(-5.0, -2.0))), 0.05)
+    return cones_of(*test_curves.hair(random, "linearcurve", float(np.exp(random.uniform(-5.0, -2.0))), 0.05))
+
+
+def cones_of(points: np.ndarray, starts: list[int]) -> Body:
     body = {"type": "linearcurve", "control_points": points, "curve_starts": starts}
     firsts = test_curves.load("linearcurve", points, starts).description.shapes[0].curves.firsts
     head = [wp.array(points, dtype=wp.vec4d, device="cpu"), wp.array(firsts, dtype=wp.int32, device="cpu")]
@@ -158,7 +164,9 @@ def make_rays(body: Body, random: np.random.Generator, count: int) -> tuple[np.n
     family = random.integers(0, 8, count)
     points, normals = body.surface(random, 1000 + count // 10)
     some = random.integers(0, len(points), count)
-    node, other = body.nodes[random.integers(0, len(body.nodes), (2, count))]
+    pick, second = random.integers(0, len(body.nodes), (2, count))
+    second = np.where(random.random(count) < 0.5, (pick + 1) % len(body.nodes), second)
+    node, other = body.nodes[pick], body.nodes[second]
     w = unit(random.standard_normal((count, 3)))
     away = np.exp(random.uniform(np.log(0.3), np.log(30.0), (count, 1)))
     # Through the box from near (0), and from far away (1); at points of the surface (2), and at nodes (3).
@@ -178,10 +186,11 @@ def make_rays(body: Body, random: np.random.Generator, count: int) -> tuple[np.n
     aim = np.where(across & (still == 1.0), node, aim)
     w = np.where(across, unit(w * (1.0 - still)), w)
     w = np.where((family == 5)[:, None], axis * sign[0], w)
-    # Through two nodes (7).
+    # Through two nodes (7), or nearly so, half of them neighbours: along edges of voxels, and the axes of cones.
     through = (family == 7)[:, None] & (np.abs(node - other).max(axis=1) > 0.0)[:, None]
     aim = np.where(through, node, aim)
-    w = np.where(through, unit(other - node + 1e-9), w)
+    tilt = sine * (random.random((count, 1)) < 0.5)
+    w = np.where(through, unit(unit(other - node + 1e-9) + tilt * w), w)
     # A fifth start inside of the box.
     away = np.where((random.random(count) < 0.2)[:, None] & (family != 1)[:, None], 0.3 * away / 30.0, away)
     return aim - away * w, w
@@ -201,7 +210,7 @@ class Tally:
     strayed: list = field(default_factory=list)
 
 
-def traced(body: Body, random: np.random.Generator, count: int) -> tuple[np.ndarray, ...]:
+def traced(body: Body, random: np.random.Generator, count: int, rays: Callable = make_rays) -> tuple[np.ndarray, ...]:
     """Trace rays; return origins and directions in front of the pose, float64, distances (-1: none), and roundings."""
     held = psdr.load_dict(
         {"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, "body": body.plugin}
@@ -211,7 +220,7 @@ def traced(body: Body, random: np.random.Generator, count: int) -> tuple[np.ndar
     b = record["normal"].astype(np.float64)
     if body.plugin["type"] == "linearcurve":
         a, b = np.eye(3), -held.origin
-    o, d = make_rays(body, random, count)
+    o, d = rays(body, random, count)
     o, d = (o @ a.T + b).astype(np.float32), unit(d @ a.T).astype(np.float32)
     given = [wp.array(x, dtype=wp.vec3, device=held.device) for x in (o, d)]
     out = wp.zeros((count, body.columns), dtype=wp.float32, device=held.device)
@@ -253,4 +262,5 @@ if __name__ == "__main__":
         rng, total, began = np.random.default_rng(number), Tally(), time.process_time()
         for start in range(0, number, BLOCK):
             check(KINDS[kind](rng), rng, min(BLOCK, number - start), total)
-        print(kind, total, f"{time.process_time() - began:.0f} s", flush=True)
+            if total.rays % (10 * BLOCK) == 0 or total.rays == number:
+                print(kind, total, f"{time.process_time() - began:.0f} s", flush=True)
