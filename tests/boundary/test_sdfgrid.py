@@ -2,10 +2,17 @@
 
 import numpy as np
 import pytest
+import warp as wp
 
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes
 from warp_psdr.estimate.boundary import terms
+from warp_psdr.estimate.boundary.drivers import launch_backward
+from warp_psdr.estimate.boundary.terms import secondary_grid
+from warp_psdr.estimate.boundary.terms.request import Request
+from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.plan import decide
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .scenes import T, camera, diffuse, floor, load, register, sky
@@ -236,3 +243,25 @@ def test_neighbours_that_have_no_terms_are_refused() -> None:
     params.requires_grad(GRID)
     with pytest.raises(ValueError, match="runs through the box around the surface of the grid 'body'"):
         psdr.render_backward(scene, params, np.ones((16, 16, 3)), spp=1, integrator=psdr.PathIntegrator(max_depth=1))
+
+
+def test_both_techniques_of_smooth_silhouettes_have_one_measure(monkeypatch) -> None:
+    """However many segments are drawn for the grid instead of for the lamp, the weights of the two add up to 1."""
+    scene, _params = load("grid, lamp")
+    adjoint = wp.full((scene.camera(0).crop_height, scene.camera(0).crop_width), wp.vec3(1.0), device="cpu")
+    plan = decide(scene, names=[GRID], integrator=psdr.PathIntegrator(max_depth=2), sensor=0)
+    p, found = scene.parameters[GRID], []
+    for share in (0.1, 0.7):
+        monkeypatch.setattr(Request, "own_share", property(lambda _request, share=share: share))
+        totals = []
+        for seed in range(8):
+            # Without creases, whose densities are those of both techniques.
+            request = Request(scene, plan, motion(scene, [GRID]), "reverse", 0, 2048, seed, creases=False)
+            sums = GradientSums(scene, [GRID])
+            launch_backward(scene, terms.launches(secondary_grid.TERM, request), adjoint, sums)
+            totals.append(float(sums.result().numpy()[p.offset : p.offset + p.size].sum(dtype=np.float64)))
+        found.append((np.mean(totals), np.std(totals, ddof=1) / np.sqrt(8.0)))
+    (aimed, aimed_error), (own, own_error) = found
+    # With the curve's density for the surface's, the second is 1.14 times the first.
+    assert np.hypot(aimed_error, own_error) < 0.03 * abs(aimed)
+    assert abs(own - aimed) < 4.0 * np.hypot(aimed_error, own_error), found

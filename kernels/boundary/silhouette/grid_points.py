@@ -298,6 +298,12 @@ def curve_point(
 
 
 @wp.func
+def surface_density(point: TouchPoint) -> wp.float32:
+    """Density per area, in voxels, of points on lines along one of three axes, each as likely."""
+    return spread(wp.normalize(point.gradient)) / 3.0
+
+
+@wp.func
 def surface_point(scene: Scene, tri: Triangle, g: Grid, at: wp.vec4i, u: wp.float32, v: wp.float32) -> TouchPoint:
     """Point of the surface in a voxel: on a line along one of three axes, with one root at most."""
     r = TouchPoint()
@@ -314,7 +320,7 @@ def surface_point(scene: Scene, tri: Triangle, g: Grid, at: wp.vec4i, u: wp.floa
         return r
     r.place = turn_axes_back(wp.vec3(wp.clamp(f0 / (f0 - f1), 0.0, 1.0), y, v), axis)
     r = with_surface(tri, g, voxel, r)
-    r.density = spread(wp.normalize(r.gradient)) / 3.0
+    r.density = surface_density(r)
     return r
 
 

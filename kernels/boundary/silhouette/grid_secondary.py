@@ -44,6 +44,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     from_voxels,
     item_parts,
     make_touch_sink,
+    surface_density,
     surface_point,
     touch_curvature,
 )
@@ -86,10 +87,10 @@ def crease_wedge(point: TouchPoint) -> Wedge:
 
 @wp.func
 def own_density(tri: Triangle, g: Grid, point: TouchPoint, curvature: wp.float32) -> wp.float32:
-    """Density of an item's point and of a direction of its own."""
+    """Density of an item's point and of a direction of its own, whichever technique has drawn them."""
     if point.crease == 1:
         return point.density * pdf_wedge(crease_wedge(point))
-    return point.density / area_of_voxel_area(tri, g, point) * INV_TWO_PI / curvature
+    return surface_density(point) / area_of_voxel_area(tri, g, point) * INV_TWO_PI / curvature
 
 
 @wp.func

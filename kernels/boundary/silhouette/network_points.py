@@ -13,7 +13,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     TouchPoint,
     from_voxels,
     place_point,
-    spread,
+    surface_density,
     turn_axes,
     turn_axes_back,
 )
@@ -72,7 +72,7 @@ def network_surface_point(
         return r
     r.place = turn_axes_back(wp.vec3(root, y, v), axis)
     r = network_touch(scene, tri, g, r)
-    r.density = spread(wp.normalize(r.gradient)) / 3.0
+    r.density = surface_density(r)
     r.roots = count
     return r
 

@@ -14,6 +14,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     from_voxels,
     place_point,
     spread,
+    surface_density,
     turn_axes,
     turn_axes_back,
 )
@@ -167,7 +168,7 @@ def spline_surface_point(
         return r
     r.place = turn_axes_back(wp.vec3(root, y, v), axis)
     r = spline_touch(scene, tri, g, r)
-    r.density = spread(wp.normalize(r.gradient)) / 3.0
+    r.density = surface_density(r)
     r.roots = count
     return r
 

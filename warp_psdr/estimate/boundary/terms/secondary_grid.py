@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Samples over the interior's (``docs/theory/implicit.md#shares-of-the-samples``) where single values move the surface.
 SHARE_OF_VALUES = 5.0 / 16.0
+#: Share of the segments whose direction is drawn for the item they touch instead of towards a light, at most.
+OWN_SHARE = 0.25
 
 
 def applies(r: Request) -> bool:
@@ -43,7 +45,7 @@ def launch_items(
     """Return the term of items; ``unlit``: there is no light to aim at."""
     if found is None:
         return None
-    found.share = 1.0 if found.aimed == 0 or unlit else r.own_share
+    found.share = 1.0 if found.aimed == 0 or unlit else min(r.own_share, OWN_SHARE)
 
     def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
         options = (guided, r.indirect, cubic, network)
