@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -34,7 +35,9 @@ def _crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | 
         rows = pierced_faces(scene, i, shapes)
         found.append((i, cut(exact_field(scene, i), corners[rows], rows)))
     for i in grid_shapes(scene):
-        found.append((i, cut_grid(scene, i, shapes)))
+        # All that runs through a grid which moves counts, as if anything did.
+        moved = None if shapes is None or i in shapes else shapes
+        found.append((i, kept(scene, ("cut grid", i, moved), functools.partial(cut_grid, scene, i, moved))))
     found += [(j, cut_pair(scene, i, j)) for i, j in exact_pairs(scene, shapes)]
     tubes = [(i, *cut_tubes(scene, i, shapes)) for i in curve_shapes(scene)]
     others = sum(len(chords.faces) for _shape, chords in found)
