@@ -1,4 +1,4 @@
-"""Cubic grids of signed distances that are smooth mirrors or glass themselves: what moves, against differences."""
+"""Grids of signed distances that are smooth mirrors or glass themselves: what moves, against differences."""
 
 import numpy as np
 import pytest
@@ -17,43 +17,56 @@ from .test_sdfgrid import all_values
 BODY, GRID = "body.to_world", "body.grid"
 
 
-def shape(size, center, bsdf, of=sphere, **more):
+CUBIC, LINEAR = {"interpolation": "cubic"}, {"interpolation": "linear", "normals": "analytic"}
+
+
+def shape(size, center, bsdf, of=sphere, nodes_along=17, **more):
     """A grid of distances in a sheared box of a size around a place."""
     axes = size * np.array([[1.0, 0.1, 0.0], [-0.1, 0.9, 0.1], [0.0, 0.1, 1.0]])
     pose = np.eye(4)
     pose[:3, :3] = axes
     pose[:3, 3] = np.array(center) - 0.5 * axes.sum(axis=1)
-    grid = of(np.stack(nodes(17), axis=-1)).astype(np.float32)
-    return {"type": "sdfgrid", "interpolation": "cubic", "grid": grid, "to_world": T(pose), "bsdf": bsdf, **more}
+    grid = of(np.stack(nodes(nodes_along), axis=-1)).astype(np.float32)
+    return {"type": "sdfgrid", "grid": grid, "to_world": T(pose), "bsdf": bsdf, **(more or CUBIC)}
 
 
-def close():
-    """A mirror with a neck under a sky, which shows itself; its outline is not on the film."""
+def close(of=neck, nodes_along=17, **more):
+    """A mirror, which with a neck shows itself, under a sky; its outline is not on the film."""
     view = camera((0.3, -4.0, 0.6), (0.0, 0.0, 0.6), fov=5.0)
-    return {"sensor": view, "sky": soft_sky(), "body": shape(1.0, (0.0, 0.0, 0.6), MIRROR, neck)}
+    body = shape(1.0, (0.0, 0.0, 0.6), MIRROR, of, nodes_along, **more)
+    return {"sensor": view, "sky": soft_sky(), "body": body}
 
 
-def standing():
+def standing(nodes_along=17, **more):
     """A mirror over a floor, which lights it, under a sky."""
     view = camera((0.3, -3.0, 1.2), (0.0, 0.0, 0.45), fov=24.0)
-    return {"sensor": view, "sky": soft_sky(), "floor": floor(half=2.0), "body": shape(1.2, (0.0, 0.0, 0.5), MIRROR)}
+    body = shape(1.2, (0.0, 0.0, 0.5), MIRROR, sphere, nodes_along, **more)
+    return {"sensor": view, "sky": soft_sky(), "floor": floor(half=2.0), "body": body}
 
 
-def lamps():
+def lamps(nodes_along=17, **more):
     """A mirror that shows a lamp and a post behind the camera: nothing but edges."""
     view = camera((0.3, -2.0, 0.6), (0.0, 1.2, 0.6), fov=9.0)
-    body, light = shape(2.4, (0.0, 1.5, 0.6), MIRROR), lamp((-0.6, -4.0, 0.9), 1.2)
+    body, light = shape(2.4, (0.0, 1.5, 0.6), MIRROR, sphere, nodes_along, **more), lamp((-0.6, -4.0, 0.9), 1.2)
     return {"sensor": view, "post": behind()["post"], "body": body, "lamp": light}
 
 
-def lens():
+def lens(nodes_along=17, **more):
     """Two lamps behind a lens of glass."""
     view = camera((0.0, -4.0, 0.4), (0.0, 0.0, 0.0), fov=14.0)
     lights = {name: light for name, light in glass({}).items() if name in ("lamp", "other")}
-    return {"sensor": view, "body": shape(2.2, (0.0, 0.0, 0.0), GLASS), **lights}
+    return {"sensor": view, "body": shape(2.2, (0.0, 0.0, 0.0), GLASS, sphere, nodes_along, **more), **lights}
 
 
 register({"cubic mirror, close": close, "cubic mirror, floor": standing, "cubic mirror": lamps, "cubic glass": lens})
+register(
+    {
+        "linear mirror, close": lambda: close(sphere, 9, **LINEAR),
+        "linear mirror, floor": lambda: standing(9, **LINEAR),
+        "linear mirror": lambda: lamps(9, **LINEAR),
+        "linear glass": lambda: lens(9, **LINEAR),
+    }
+)
 X = entry(0, 3)
 CASES = [
     Case("cubic mirror, close", BODY, X, 0.004, "x", 3, 64, 256, slow=False),
@@ -64,6 +77,13 @@ CASES = [
     Case("cubic mirror", "lamp.vertex_positions", ALONG, 0.02, "lamp moves", 2, 128, 2048),
     Case("cubic glass", BODY, X, 0.003, "x", 4, 384, 2048),
     Case("cubic glass", "body.bsdf.eta", np.ones_like, 0.005, "index", 4, 384, 4096),
+    # What a facet shows jumps at the next one, so that the remainder of a step is large.
+    Case("linear mirror, close", BODY, X, 0.001, "x", 3, 192, 2048, slow=False),
+    Case("linear mirror, close", GRID, all_values, 0.001, "all values", 3, 192, 2048),
+    Case("linear mirror, floor", BODY, X, 0.004, "x", 3, 384, 2048),
+    Case("linear mirror", BODY, X, 0.003, "x", 2, 1024, 4096),
+    Case("linear mirror", GRID, all_values, 0.003, "all values", 2, 1024, 4096),
+    Case("linear glass", BODY, X, 0.003, "x", 4, 384, 2048),
 ]
 
 
@@ -78,6 +98,7 @@ def test_derivatives_equal_finite_differences(case: Case, mode: str) -> None:
     ("name", "names", "depth"),
     [
         ("cubic mirror, floor", [BODY, GRID, "floor.to_world"], 3),
+        ("linear mirror, floor", [BODY, GRID, "floor.to_world"], 3),
         ("cubic glass", [BODY, GRID, "body.bsdf.eta", "lamp.vertex_positions"], 4),
     ],
 )

@@ -6,14 +6,7 @@ import functools
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import (
-    METERS,
-    PRIMITIVE_BSPLINECURVE,
-    PRIMITIVE_LINEARCURVE,
-    PRIMITIVE_NEURALSDF,
-    PRIMITIVE_SDFGRID,
-    PRIMITIVE_SDFGRID_CUBIC,
-)
+from warp_psdr.kernels.constants import METERS
 from warp_psdr.kernels.primitive.dispatch import CURVES
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
@@ -43,9 +36,8 @@ if TYPE_CHECKING:
 
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
-#: Kinds of shapes that may be smooth mirrors or glass themselves, and those that may be of models of nothing else.
-MIRRORS = tuple(EXACT.values())
-POLISHED = (PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_NEURALSDF, PRIMITIVE_BSPLINECURVE)
+#: Kinds of shapes that may be of models which are mirrors or glass and more, where others may be the one or the other.
+MIXED = tuple(EXACT.values())
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -224,15 +216,8 @@ def _as_a_mirror(shape: ShapeDescription) -> str:
     """Say why what moves is not followed through a shape that is a smooth mirror or glass; empty: it is, or is none."""
     kind = KINDS[shape.primitive]
     models = [model_of(b) for b in shape.bsdf.sides if model_of(b).has_delta]
-    if not models or kind in MIRRORS:
+    if not models or kind in MIXED:
         return ""
-    if kind not in POLISHED:
-        instead = "make it rough"
-        if kind == PRIMITIVE_SDFGRID:
-            instead = f"say 'interpolation': 'cubic', as normals jump between voxels, or {instead}"
-        if kind == PRIMITIVE_LINEARCURVE:
-            instead = f"give a 'bsplinecurve', as normals jump where straight segments meet, or {instead}"
-        return f"what moves is not followed through smooth mirrors and glass as {shape.path!r} is; {instead}"
     curved = kind in CURVES
     other = next((m.plugin for m in models if m.has_smooth or m.has_null or (curved and m.transmits)), "")
     if not other:

@@ -17,7 +17,7 @@ SHARE_OF_VALUES, SHARE = 1.0 / 16.0, 1.0 / 4.0
 
 def applies(r: Request) -> bool:
     """Whether grids scatter light, and they or the camera move."""
-    return primary_grid.applies(r) and r.lit and r.scatters_smoothly
+    return primary_grid.applies(r) and r.lit
 
 
 def launch(r: Request) -> Term | None:
