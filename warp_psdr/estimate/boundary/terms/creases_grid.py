@@ -16,7 +16,7 @@ SHARE_OF_VALUES, SHARE = 1.0 / 16.0, 1.0 / 4.0
 
 
 def applies(r: Request) -> bool:
-    """Whether grids scatter light, and they or the camera move."""
+    """Whether light meets grids, and they or the camera move."""
     return primary_grid.applies(r) and r.lit
 
 
