@@ -3,10 +3,11 @@
 ``python -m tests.boundary.many_shapes FILE FIRST LAST [WORLD]`` measures scenes of ``random_shapes`` and appends a line
 each to FILE, in which it goes on where it ended; ``python -m tests.boundary.many_shapes FILE`` reports.
 
-A scene is rendered, differentiated in both modes, and by differences of which one, D_0, weighs the others. So
-a = <D_0, E> and b = <D_0, D> have equal means if derivatives E are right, and sum a / sum b over scenes is a slope
-without the bias of noisy weights. A scene whose a and b differ by more than their errors is measured again with more
-samples. Modes have equal random numbers and must be transposes of each other; nothing may be infinite or dropped.
+A scene is rendered and differentiated in both modes, which have equal random numbers and must be transposes of each
+other; nothing may be infinite or dropped. One in five is compared with differences, of which one, D_0, weighs the
+others. So a = <D_0, E> and b = <D_0, D> have equal means if derivatives E are right, and sum a / sum b over scenes is a
+slope without the bias of noisy weights. Where a and b differ by more than their errors they are measured again with
+more samples.
 """
 
 import json
@@ -25,6 +26,8 @@ from .scenes import SCENES, load
 
 #: Of a derivative, and of an image in a difference; each round that a scene is measured again takes four times as many.
 SPP, DIFFERENCE_SPP, ROUNDS = 16, 128, 3
+#: One in so many scenes is compared with differences.
+COMPARED = 5
 #: Independent images of a derivative, and of its difference.
 BATCHES = 2
 #: Pixels on a side.
@@ -40,18 +43,46 @@ def noise(difference: np.ndarray) -> float:
     return float((blocks.sum(axis=(1, 3, 4)) ** 2).sum())
 
 
-def measured(case, more: int, seed: int) -> dict:
-    """Return a, b, the variance of a - b, and by how much the modes differ."""
+def derivatives(case, more: int, seed: int) -> list[np.ndarray]:
+    """Return independent derivative images."""
     scene, params = load(case.scene)
-    integrator = case.integrator()
+    given = {n: np.float32(case.tangent(params[n].numpy().astype(np.float64))) for n in case.names}
+    options = {"integrator": case.integrator(), "spp": SPP * more}
+    images = [psdr.render_forward(scene, params, given, seed=seed + k, **options).numpy() for k in range(BATCHES)]
+    return [x.astype(np.float64) for x in images]
+
+
+def ran(case, seed: int) -> dict:
+    """Return by how much the modes differ, and whether all that is returned is finite, and any of it not zero."""
+    scene, params = load(case.scene)
+    options = {"integrator": case.integrator(), "spp": SPP, "seed": seed}
+    shown = psdr.render(scene, params, **options).numpy()
+    given = {n: np.float32(case.tangent(params[n].numpy().astype(np.float64))) for n in case.names}
+    forward = psdr.render_forward(scene, params, given, **options).numpy().astype(np.float64)
+    weights = np.random.default_rng(seed).uniform(0.5, 1.5, forward.shape).astype(np.float32)
+    params.requires_grad_only(*case.names)
+    params.zero_grad()
+    psdr.render_backward(scene, params, weights, **options)
+    grads = {n: params[n].grad.numpy().astype(np.float64) for n in case.names}
+    reverse = sum(float((grads[n] * given[n]).sum()) for n in case.names)
+    size = float((weights * np.abs(forward)).sum()) + 1e-6 * float(shown.mean())
+    return {
+        "transposed": abs(reverse - float((weights * forward).sum())) / size,
+        "finite": bool(all(np.isfinite(x).all() for x in (shown, forward, *grads.values()))),
+        "zero": not any(g.any() for g in grads.values()),
+    }
+
+
+def compared(case, more: int, seed: int) -> dict:
+    """Return a, b, and the variance of a - b."""
+    scene, params = load(case.scene)
     base = {n: params[n].numpy().astype(np.float64) for n in case.names}
     tangents = {n: np.asarray(case.tangent(v), np.float64) for n, v in base.items()}
-    given = {n: t.astype(np.float32) for n, t in tangents.items()}
 
     def image(sign: float, seed: int) -> np.ndarray:
         move(params, {n: base[n] + sign * case.step * t for n, t in tangents.items()})
-        shown = psdr.render(scene, params, integrator=integrator, spp=DIFFERENCE_SPP * more, seed=seed)
-        return shown.numpy().astype(np.float64)
+        options = {"integrator": case.integrator(), "spp": DIFFERENCE_SPP * more, "seed": seed}
+        return psdr.render(scene, params, **options).numpy().astype(np.float64)
 
     def difference(seed: int) -> np.ndarray:
         return (image(1.0, seed) - image(-1.0, seed)) / (2.0 * case.step)
@@ -60,31 +91,20 @@ def measured(case, more: int, seed: int) -> dict:
         d = [difference(seed + 10 * k) for k in range(BATCHES + 1)]
     finally:
         move(params, base)
-    shown = psdr.render(scene, params, integrator=integrator, spp=SPP, seed=seed).numpy()
-    options = {"integrator": integrator, "spp": SPP * more}
-    e = [
-        psdr.render_forward(scene, params, given, seed=seed + 100 + k, **options).numpy().astype(np.float64)
-        for k in range(BATCHES)
-    ]
-    weights = np.random.default_rng(seed).uniform(0.5, 1.5, e[0].shape).astype(np.float32)
-    params.requires_grad_only(*case.names)
-    params.zero_grad()
-    psdr.render_backward(scene, params, weights, seed=seed + 100, **options)
-    grads = [params[n].grad.numpy().astype(np.float64) for n in case.names]
-    reverse = sum(float((g * t).sum()) for g, t in zip(grads, tangents.values(), strict=True))
-    size = float((weights * np.abs(e[0])).sum())
-    scale = float(shown.mean())
-    w = d[0] / scale**2
+    e = derivatives(case, more, seed + 100)
+    w = d[0] / max(float(np.abs(d[0]).max()), 1e-30)
     spread = [noise(w * (x[0] - x[1])) / 4.0 for x in (e, d[1:])]
     return {
         "weight": float((w * d[0]).sum()),
         "a": float((w * np.mean(e, axis=0)).sum()),
         "b": float((w * np.mean(d[1:], axis=0)).sum()),
         "variance": sum(spread),
-        "transposed": abs(reverse - float((weights * e[0]).sum())) / (size + 1e-6 * scale),
-        "finite": bool(all(np.isfinite(x).all() for x in (shown, *e, *d, *grads))),
-        "zero": not any(g.any() for g in grads),
     }
+
+
+def doubtful(x: dict) -> bool:
+    """Whether a and b differ by more than their errors."""
+    return abs(x["a"] - x["b"]) > DOUBTFUL * np.sqrt(x["variance"])
 
 
 def line(seed: int) -> dict:
@@ -94,12 +114,12 @@ def line(seed: int) -> dict:
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         try:
-            rounds = []
-            for k in range(ROUNDS + 1):
-                rounds.append(measured(case, 4**k, 1000 * (k + 1) + seed))
-                if abs(rounds[-1]["a"] - rounds[-1]["b"]) <= DOUBTFUL * np.sqrt(rounds[-1]["variance"]):
-                    break
-            found |= {**rounds[0], "rounds": len(rounds), "last": rounds[-1]}
+            found |= ran(case, seed)
+            if seed // len(WORLDS) % COMPARED == 0:
+                rounds = []
+                while len(rounds) <= ROUNDS and (not rounds or doubtful(rounds[-1])):
+                    rounds.append(compared(case, 4 ** len(rounds), 1000 * (len(rounds) + 1) + seed))
+                found["rounds"] = rounds
         except ValueError as problem:
             found["refused"] = str(problem)[:200]
     found["said"] = sorted({str(w.message)[:160] for w in said if issubclass(w.category, RuntimeWarning)})
@@ -109,30 +129,32 @@ def line(seed: int) -> dict:
 
 def report(lines: list[dict]) -> None:
     """Print slopes by worlds and by what moves, with jackknife errors over the scenes, and what is wrong."""
-    ran = [x for x in lines if "refused" not in x]
-    print(f"{len(lines)} scenes, {len(lines) - len(ran)} refused, {sum(x['rounds'] > 1 for x in ran)} measured again")
+    done = [x for x in lines if "refused" not in x]
+    rows = [x for x in done if "rounds" in x]
+    again = sum(len(x["rounds"]) > 1 for x in rows)
+    print(f"{len(lines)} scenes, {len(lines) - len(done)} refused, {len(rows)} compared, {again} of these again")
     groups = defaultdict(list)
-    for x in ran:
-        kinds = WORLDS[x["seed"] % len(WORLDS)][3]
-        groups["all"].append(x)
-        groups[f"world {x['seed'] % len(WORLDS)}: {' '.join(WORLDS[x['seed'] % len(WORLDS)][2:3] + kinds)}"].append(x)
-        groups[x["what"]].append(x)
+    for x in rows:
+        world = x["seed"] % len(WORLDS)
+        _camera, _filter, lamp, kinds = WORLDS[world]
+        for name in ("all", f"world {world}: {lamp} {' '.join(kinds)}", x["what"]):
+            # The first round of each, for what weighs it must not know how its E and D turned out.
+            if x["rounds"][0]["weight"] > 0.0:
+                groups[name].append(x["rounds"][0])
     for name, held in groups.items():
-        # What weighs a scene must not know of its E and D; nor may the first round know that there were others.
-        a, b, size = (np.array([x[k] for x in held]) for k in ("a", "b", "weight"))
-        a, b = (x / np.where(size > 0.0, size, np.inf) for x in (a, b))
+        a, b = (np.array([x[k] / x["weight"] for x in held]) for k in ("a", "b"))
         left = (a.sum() - a) / (b.sum() - b)
         error = np.sqrt((len(left) - 1) / len(left) * ((left - left.mean()) ** 2).sum())
         print(f"{name:60} {len(held):6} scenes, slope {a.sum() / b.sum():.4f} +- {error:.4f}")
-    for x in ran:
+    for x in done:
         faults = {"not finite": not x["finite"], "not transposed": x["transposed"] > SUMMATION}
-        bad = [fault for fault, present in faults.items() if present]
-        if x["last"]["b"] != 0.0 and x["rounds"] > ROUNDS:
-            last = x["last"]
-            if abs(last["a"] - last["b"]) > DOUBTFUL * np.sqrt(last["variance"]):
-                bad.append(f"a {last['a']:.4g}, b {last['b']:.4g} +- {np.sqrt(last['variance']):.2g}")
-        if bad or x["said"]:
-            print(x["seed"], x["what"], x["depth"], bad, x["said"])
+        bad = [fault for fault, present in faults.items() if present] + x["said"]
+        if len(x.get("rounds", [])) > ROUNDS and doubtful(x["rounds"][-1]):
+            last = x["rounds"][-1]
+            bad.append(f"a {last['a']:.4g}, b {last['b']:.4g} +- {np.sqrt(last['variance']):.2g}")
+        if bad:
+            print(x["seed"], x["what"], x["depth"], bad)
+    print(sum(x["zero"] for x in done), "have no derivative")
     for x in lines:
         if "refused" in x:
             print(x["seed"], x["what"], x["refused"])
