@@ -79,7 +79,7 @@ CASES = [
     Case("cubic glass", "body.bsdf.eta", np.ones_like, 0.005, "index", 4, 384, 4096),
     # What a facet shows jumps at the next one, so that the remainder of a step is large.
     Case("linear mirror, close", BODY, X, 0.001, "x", 3, 192, 2048, slow=False),
-    Case("linear mirror, close", GRID, all_values, 0.001, "all values", 3, 192, 2048),
+    Case("linear mirror, close", GRID, all_values, 0.0007, "all values", 3, 192, 2048),
     Case("linear mirror, floor", BODY, X, 0.004, "x", 3, 384, 2048),
     Case("linear mirror", BODY, X, 0.003, "x", 2, 1024, 4096),
     Case("linear mirror", GRID, all_values, 0.003, "all values", 2, 1024, 4096),
