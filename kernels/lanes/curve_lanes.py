@@ -2,8 +2,9 @@
 
 Each lane takes the pieces that its ray comes by, one after the other. The piece's boxes are walked and its control
 points are fetched lane by lane; to test it, and to search for where the ray enters, round by round, is a loop over all
-lanes. Lanes that are done with their piece take the next one as soon as they are one in ``SHARE`` of those at work.
-Rays meet the same pieces in the same order as alone, by the same functions.
+lanes. Rays that run along a bent piece, or graze it, are followed lane by lane. Lanes that are done with their piece
+take the next one as soon as they are one in ``SHARE`` of those at work. Rays meet the same pieces in the same order as
+alone, by the same functions.
 """
 
 import warp as wp
@@ -25,7 +26,17 @@ from warp_psdr.kernels.primitive.curves import (
     point_in_world,
     spline_at,
 )
-from warp_psdr.kernels.primitive.curves_search import FOUND, SEARCHES, Spline, TubeSearch, search_on, search_tube
+from warp_psdr.kernels.primitive.curves_along import can_follow, follow_tube, must_follow
+from warp_psdr.kernels.primitive.curves_search import (
+    FOUND,
+    GRAZES,
+    SEARCHES,
+    Spline,
+    TubeSearch,
+    search_on,
+    search_tube,
+    status_unfollowed,
+)
 from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, Pieces, PieceTree
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -36,6 +47,7 @@ DONE = wp.constant(0)
 WAITS = wp.constant(1)
 TESTS = wp.constant(2)
 LOOKS = wp.constant(3)
+FOLLOWS = wp.constant(4)
 
 
 @wp.struct
@@ -82,7 +94,8 @@ class TubeHit:
 class Pending:
     """Numbers of lanes."""
 
-    waiting: wp.int32
+    waiting: wp.int32  # for a piece, or to be followed along one
+    following: wp.int32
     all: wp.int32  # not done
 
 
@@ -165,11 +178,43 @@ def make_curve_lanes(width: int, first: int) -> SteppedLanes:
             )
             splines.put(rows, j, s)
             tests = walk.does == TESTS
-            started = search_tube(s, unit.d, walk.low, size, -near, entries.get(rows, j).t * unit.length - near)
+            most = entries.get(rows, j).t * unit.length - near
+            started = search_tube(s, unit.d, walk.low, size, -near, most)
             searches.put(rows, j, where_search(tests, started, searches.get(rows, j)))
-            goes_on = wp.where(passes(s, unit.d, walk.low, size), WAITS, LOOKS)
-            walk.does = wp.where(tests, goes_on, walk.does)
+            does = wp.where(must_follow(s, unit.d, walk.low, size), FOLLOWS, LOOKS)
+            does = wp.where(passes(s, unit.d, walk.low, size), WAITS, does)
+            walk.does = wp.where(tests, does, walk.does)
             walks.put(rows, j, walk)
+            j += 1
+
+    @wp.func
+    def follow(g: Curves, after_hit: wp.int32, rows: ROWS):
+        """Meet the pieces along which rays run, or that they graze."""
+        size = 1.0 / wp.float32(g.pieces)
+        j = wp.int32(0)
+        while j < width:
+            walk = walks.get(rows, j)
+            if walk.does == FOLLOWS:
+                search = searches.get(rows, j)
+                s = splines.get(rows, j)
+                unit = units.get(rows, j)
+                walk.does = WAITS
+                if can_follow(s, unit.d, walk.low, size):
+                    extent = wp.max(wp.abs(rays.get(rows, j).o - search.least * unit.d))
+                    at = follow_tube(s, unit.d, walk.low, size, search.least, search.most, extent)
+                    if at[0] < wp.inf:
+                        entry = TubeHit()
+                        entry.t = (at[0] - search.least) / unit.length
+                        entry.beyond = at[0]
+                        entry.v = at[1]
+                        entry.segment = walk.segment
+                        entries.put(rows, j, entry)
+                        walk.does = after_hit
+                elif status_unfollowed(search) == SEARCHES:
+                    search.status = SEARCHES
+                    searches.put(rows, j, search)
+                    walk.does = LOOKS
+                walks.put(rows, j, walk)
             j += 1
 
     @wp.func
@@ -192,10 +237,11 @@ def make_curve_lanes(width: int, first: int) -> SteppedLanes:
             entry.v = wp.where(found, on.v, entry.v)
             entry.segment = wp.where(found, walk.segment, entry.segment)
             entries.put(rows, j, entry)
-            goes_on = wp.where(found, after_hit, wp.where(on.status == SEARCHES, LOOKS, WAITS))
-            walk.does = wp.where(looks, goes_on, walk.does)
+            does = wp.where(on.status == GRAZES, FOLLOWS, wp.where(on.status == SEARCHES, LOOKS, WAITS))
+            walk.does = wp.where(looks, wp.where(found, after_hit, does), walk.does)
             walks.put(rows, j, walk)
-            pending.waiting += wp.where(walk.does == WAITS, 1, 0)
+            pending.waiting += wp.where(walk.does == WAITS or walk.does == FOLLOWS, 1, 0)
+            pending.following += wp.where(walk.does == FOLLOWS, 1, 0)
             pending.all += wp.where(walk.does == DONE, 0, 1)
             j += 1
         return pending
@@ -209,6 +255,8 @@ def make_curve_lanes(width: int, first: int) -> SteppedLanes:
         pending.all = width
         while pending.all > 0:
             if wp.static(SHARE) * pending.waiting >= pending.all:
+                if pending.following > 0:
+                    follow(g, after_hit, rows)
                 fetch(scene, g, tree, rows)
                 prepare(g, rows)
             pending = look_on(after_hit, rows)

@@ -19,8 +19,10 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import PI, TWO_PI
+from warp_psdr.kernels.primitive.curves_along import can_follow, follow_tube, must_follow
 from warp_psdr.kernels.primitive.curves_search import (
     FOUND,
+    GRAZES,
     SEARCHES,
     Spline,
     enter_cone,
@@ -28,6 +30,7 @@ from warp_psdr.kernels.primitive.curves_search import (
     search_on,
     search_tube,
     slope_on,
+    status_unfollowed,
     xyz,
 )
 from warp_psdr.kernels.primitive.curves_walk import BATCH, PIECES_AHEAD, PieceTree, walks_packets
@@ -308,17 +311,29 @@ def make_curve_hit(cubic: bool, shadow: bool):
             size = 1.0 / wp.float32(g.pieces)
             low = wp.float32(item - segment * g.pieces) * size
             near = near_segment(scene, g, segment, o, w)
-            s = spline_at(scene, g, segment, o + near * w)
+            place = o + near * w
+            s = spline_at(scene, g, segment, place)
             if passes(s, w, low, size):
                 return met
-            search = search_tube(s, w, low, size, -near, hit.t * length - near)
-            while search.status == SEARCHES:
-                search = search_on(s, w, search)
-            if search.status == FOUND:
-                met.t = (near + search.t) / length
+            most = hit.t * length - near
+            at = wp.vec2(wp.inf, 0.0)
+            followed = must_follow(s, w, low, size)
+            if not followed:
+                search = search_tube(s, w, low, size, -near, most)
+                while search.status == SEARCHES and not followed:
+                    search = search_on(s, w, search)
+                    if search.status == GRAZES:
+                        followed = can_follow(s, w, low, size)
+                        search.status = status_unfollowed(search)
+                if search.status == FOUND:
+                    at = wp.vec2(search.t, search.v)
+            if followed:
+                at = follow_tube(s, w, low, size, -near, most, wp.max(wp.abs(place)))
+            if at[0] < wp.inf:
+                met.t = (near + at[0]) / length
                 met.face = 0
                 if wp.static(not shadow):
-                    met = hold_tube(met, segment, s, w, search.t, search.v)
+                    met = hold_tube(met, segment, s, w, at[0], at[1])
         else:
             i = first_point(scene, g, item)
             near = wp.dot(xyz(control_point(scene, g, i, o)), w)

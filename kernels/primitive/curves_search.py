@@ -14,14 +14,20 @@ CLOSE = 2.0e-5
 #: Distance along a segment from the circle to where the ray enters its cone, up to which the two are one: where the ray
 #: grazes, that distance jumps, and steps are small far from the tube as well.
 ON_CIRCLE = 1.0e-3
-#: How far behind the ends of a piece a hit still counts, so that nothing passes between two.
+#: How far behind the ends of a piece a hit still counts, so that nothing passes between two: along a segment, 1 for all
+#: of it; more by rounding, ``BLUR`` over the size of the coordinates, up to ``JOINT``.
 OVERLAP = 1.0e-5
+BLUR = 2.4e-7
+JOINT = 1.0e-3
+#: Height over a cone, in radii, doubled, up to which a ray that passes it may yet enter the tube beside it.
+GRAZING = 0.02
 #: Share of the square of a direction below which it runs along the axis.
 ALONG = 1.0e-7
 #: What has become of a search.
 SEARCHES = wp.constant(0)
 FOUND = wp.constant(1)
 MISSED = wp.constant(2)
+GRAZES = wp.constant(3)
 
 
 @wp.struct
@@ -64,6 +70,7 @@ class Approach:
     t: wp.float32
     step: wp.float32  # along the segment, from the circle to the point
     misses: wp.int32  # 1: the ray passes the cone, nearest at t
+    grazes: wp.int32  # 1: it passes it closely
 
 
 @wp.func
@@ -87,6 +94,7 @@ def enter_cone(q: wp.vec3, d: wp.vec3, c: wp.vec3, radius: wp.float32, slope: wp
     e = wp.dot(beside, beside) - r * r
     discriminant = b * b - a * e
     at.misses = wp.where(discriminant < 0.0, 1, 0)
+    at.grazes = wp.where(discriminant < 0.0 and discriminant > -wp.static(GRAZING) * a * r * r, 1, 0)
     more = entry(a, b, e, discriminant)
     at.t = t + more
     at.step = s0 + more * s1
@@ -97,10 +105,10 @@ def enter_cone(q: wp.vec3, d: wp.vec3, c: wp.vec3, radius: wp.float32, slope: wp
 class TubeSearch:
     """The search for where the ray t d, |d| = 1, enters a piece of a tube, from up to three circles of it."""
 
-    status: wp.int32  # SEARCHES, FOUND or MISSED
-    start: wp.int32  # number of the circle that it started from
+    status: wp.int32  # SEARCHES, FOUND, MISSED or GRAZES: ``follow_tube`` knows, if it can, or the search goes on
+    start: wp.int32  # number of the circle that it started from; 3: there are no more
     first: wp.float32  # where along the segment the first of them is
-    low: wp.float32  # the piece
+    low: wp.float32  # the piece, longer by what hits count behind its ends
     high: wp.float32
     least: wp.float32  # least < t < most
     most: wp.float32
@@ -118,9 +126,12 @@ def search_tube(
 ) -> TubeSearch:
     """Start from the end of the piece that the ray meets first; next are the other one, and the middle."""
     r = TubeSearch()
-    r.low = low
-    r.high = low + size
-    r.first = wp.where(wp.dot(xyz(slope_on(s, low + 0.5 * size)), d) >= 0.0, low, low + size)
+    slope = xyz(slope_on(s, low + 0.5 * size))
+    blur = wp.static(BLUR) * wp.abs(least) / wp.sqrt(wp.max(wp.dot(slope, slope), 1.0e-30))
+    more = wp.min(wp.static(OVERLAP) + blur, wp.static(JOINT))
+    r.low = low - more
+    r.high = low + size + more
+    r.first = wp.where(wp.dot(slope, d) >= 0.0, low, low + size)
     r.least = least
     r.most = most
     r.v = r.first
@@ -128,10 +139,17 @@ def search_tube(
 
 
 @wp.func
+def status_unfollowed(search: TubeSearch) -> wp.int32:
+    """The status of a search whose ray grazes the tube and cannot be followed."""
+    return wp.where(search.start == 3, MISSED, SEARCHES)
+
+
+@wp.func
 def search_on(s: Spline, d: wp.vec3, search: TubeSearch) -> TubeSearch:
     """The next round: from a circle of the tube to the one at the height where the ray enters its tangent cone.
 
-    Steps vanish where the ray enters the tube: that place is looked for by secants, as far as they fall. Without a
+    Steps vanish where the ray enters the tube: that place is looked for by secants, as far as they fall. They vanish
+    at cones that a ray passes, too, and where it does so closely, it may enter the tube beside the circle. Without a
     branch, for loops over lanes.
     """
     r = search
@@ -147,7 +165,7 @@ def search_on(s: Spline, d: wp.vec3, search: TubeSearch) -> TubeSearch:
     step = at.step / -wp.where(moved, wp.min(secant, wp.static(LEAST_FALL)), -1.0)
     settled = wp.abs(step) < wp.static(CLOSE) and wp.abs(at.step) < wp.static(ON_CIRCLE)
     goal = v + step
-    inside = goal > low - wp.static(OVERLAP) and goal < high + wp.static(OVERLAP)
+    inside = goal > low and goal < high
     found = settled and at.misses == 0 and inside and at.t > search.least and at.t < search.most and here[3] > 0.0
     after = v + wp.clamp(step, -margin, margin)
     beyond = after < low - margin or after > high + margin
@@ -155,7 +173,8 @@ def search_on(s: Spline, d: wp.vec3, search: TubeSearch) -> TubeSearch:
     again = lost and not found
     other = wp.where(search.start == 0, low + high - search.first, 0.5 * (low + high))
     on = wp.where(again, other, wp.clamp(after, low - margin, high + margin))
-    r.status = wp.where(found, FOUND, wp.where(again and search.start == 2, MISSED, SEARCHES))
+    r.status = wp.where(again and search.start == 2, MISSED, SEARCHES)
+    r.status = wp.where(found, FOUND, wp.where(settled and at.grazes == 1, GRAZES, r.status))
     r.start = search.start + wp.where(again, 1, 0)
     r.v = wp.where(found, wp.clamp(goal, 0.0, 1.0), on)
     r.t = at.t

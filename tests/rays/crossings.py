@@ -23,6 +23,8 @@ from warp_psdr.scene.curve_points import coefficients
 ROUNDING = 2.0**-22
 #: Rays a point of the surface, and rays a launch.
 RAYS, BLOCK = 10, 100_000
+#: Least sine at which rays meet the surface.
+GRAZE = 1.0e-4
 #: Points along a ray beside a crossing that was missed, and how far they reach.
 DENSE, REACH = 20_000, 1.5
 
@@ -39,7 +41,6 @@ class Body:
         value: (points (N, 3), keys) -> phi of that part (N,), in units of length; NaN where the part has ended.
         columns: of the rows.
         leaves: rays that come from inside are met, too.
-        graze: least sine at which rays meet the surface.
     """
 
     plugin: dict
@@ -48,7 +49,6 @@ class Body:
     value: Callable
     columns: int
     leaves: bool
-    graze: float = 1.0e-4
 
 
 @dataclass
@@ -202,9 +202,7 @@ def curve_body(plugin: str, random: np.random.Generator) -> Body:
     body = {"type": plugin, "control_points": points, "curve_starts": starts}
     held = test_curves.load(plugin, points, starts).description.shapes[0].curves
     made = (tubes if plugin == "bsplinecurve" else cones)(points, held.firsts)
-    # Tubes are searched for from circle to circle, and rays that graze may pass them (docs/limits.md).
-    graze = 0.02 if plugin == "bsplinecurve" else 1.0e-4
-    return Body(body, test_curves.make_trace(test_curves.KINDS[plugin]), *made, 9, False, graze)
+    return Body(body, test_curves.make_trace(test_curves.KINDS[plugin]), *made, 9, False)
 
 
 #: Name -> random -> a body.
@@ -217,13 +215,13 @@ BODIES: dict[str, Callable[[np.random.Generator], Body]] = {
 }
 
 
-def directions(random: np.random.Generator, n: np.ndarray, leaves: bool, graze: float) -> tuple[np.ndarray, np.ndarray]:
+def directions(random: np.random.Generator, n: np.ndarray, leaves: bool) -> tuple[np.ndarray, np.ndarray]:
     """Unit directions of rays, and the sines at which they meet the surface: any, grazing ones, and those of axes."""
     count = len(n)
     w = unit(random.standard_normal((count, 3)))
     grazing, axis = random.random(count) < 0.5, random.random(count) < 0.1
     tangent = unit(np.cross(n, w))
-    sine = np.exp(random.uniform(np.log(graze), np.log(0.3), count))[:, None]
+    sine = np.exp(random.uniform(np.log(GRAZE), np.log(0.3), count))[:, None]
     w = np.where(grazing[:, None], np.sqrt(1.0 - sine**2) * tangent - sine * n, w)
     w = np.where((axis & ~grazing)[:, None], np.eye(3)[random.integers(0, 3, count)], w)
     along = (w * n).sum(axis=1)
@@ -254,7 +252,7 @@ def check(
     for start in range(0, count, BLOCK):
         size = min(BLOCK, count - start)
         k = random.integers(0, len(x), size)
-        w, sine = directions(random, n[k], body.leaves, body.graze)
+        w, sine = directions(random, n[k], body.leaves)
         away = far * np.exp(random.uniform(np.log(0.3), np.log(30.0), (size, 1)))
         shift = np.array(place) - held.origin
         o = (x[k] - away * w + shift).astype(np.float32)
@@ -274,7 +272,7 @@ def check(
         sure = (before > 0.0) & (behind < 0.0)
         if body.leaves:
             sure |= (before < 0.0) & (behind > 0.0)
-        sure &= sine >= 0.99 * body.graze
+        sure &= sine >= 0.99 * GRAZE
         missed = sure & ((found < 0.0) | (found > t + half + rounding))
         tally.rays += size
         tally.confirmed += int(sure.sum())
