@@ -9,7 +9,7 @@ from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
 from warp_psdr.topology.outermost import outermost_edges
 from warp_psdr.topology.secondary_edges import secondary_candidates
-from warp_psdr.topology.unchanged import kept
+from warp_psdr.topology.unchanged import at_rest, kept
 
 T = psdr.Transform
 LAMP = {"emitter": {"type": "area", "radiance": 4.0}}
@@ -97,4 +97,8 @@ def test_what_is_found_is_kept_until_a_value_changes() -> None:
     params.update("ball.grid")
     after = grid_items(scene, grid_shapes(scene), None)
     assert after is not None and len(after.items) < len(before.items)
-    assert kept(scene, "a", find) == 3
+    with at_rest(scene), at_rest(scene):
+        assert [kept(scene, "a", find), kept(scene, "a", find)] == [3, 3]
+    params["ball.grid"] = sphere(12, 0.25)
+    params.update("ball.grid")
+    assert kept(scene, "a", find) == 4

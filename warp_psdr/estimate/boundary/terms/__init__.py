@@ -67,6 +67,7 @@ from warp_psdr.options.boundary import (
 )
 from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
+from warp_psdr.topology.unchanged import at_rest
 
 if TYPE_CHECKING:
     from warp_psdr.plan.plan import Plan
@@ -141,7 +142,8 @@ def terms(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, sp
     request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
     kinds = _kinds(request)
     # Those that may build guiding, with kernels of their own, come last: all others are compiled meanwhile.
-    found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term.guided)}
+    with at_rest(scene):
+        found = {term.name: launches(term, request) for term in sorted(kinds, key=lambda term: term.guided)}
     return [t for term in kinds for t in found[term.name]]
 
 
