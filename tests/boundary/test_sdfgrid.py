@@ -218,7 +218,7 @@ def test_the_limit_is_the_exact_sphere() -> None:
     ("change", "boundary", "problem"),
     [
         ({}, psdr.boundary.Projective(), "no terms of it"),
-        ({"bsdf": {"type": "dielectric"}}, "auto", "as 'body' is; say 'interpolation': 'cubic'"),
+        ({"bsdf": {"type": "plastic"}}, "auto", "'plastic' of 'body'; give it a 'conductor' or a 'dielectric'"),
         ({"grid": values() - 0.2}, "auto", "the surface of 'body' ends at its box"),
     ],
 )

@@ -151,7 +151,7 @@ def test_reverse_mode_is_the_transpose(what: str) -> None:
             "auto",
             "'dielectric' of 'body'; give it a 'conductor', as light that",
         ),
-        ({"bsdf": {"type": "conductor"}, "type": "linearcurve"}, "auto", "as 'body' is; give a 'bsplinecurve'"),
+        ({"bsdf": {"type": "plastic"}, "type": "linearcurve"}, "auto", "'plastic' of 'body'; give it a 'conductor'"),
         ({"control_points": tube("crossed"), "curve_starts": [0, 8]}, "auto", "tubes of 'body' run through each other"),
     ],
 )
