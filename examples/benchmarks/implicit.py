@@ -108,6 +108,18 @@ class Bench:
 
         return run
 
+    def bears(self, passes: dict[str, Callable]) -> bool:
+        """Whether Mitsuba's process gets through as many passes; if not, that is printed, and a new one is begun."""
+        try:
+            for seed in range(self.repeat + 1):
+                for run in passes.values():
+                    run(seed)
+        except SystemExit as ended:
+            print(f"{ended}\n", flush=True)
+            self._mitsuba = None
+            return False
+        return True
+
     def compare(self, what: str, passes: dict[str, Callable], wanted: str, beside: tuple[str, str] | None = None):
         """Time passes in turns and report a row: the first over the second; for ">=" the second over the first.
 
@@ -150,14 +162,14 @@ def images(bench: Bench) -> None:
 def gradients(bench: Bench) -> None:
     """Gradients by all values of a grid and by all control points against the own image; what an edit costs."""
     for scene, name, wanted in (("grid 64, analytic", GRID, 4), ("hair 10000", POINTS, 3)):
-        passes = {
-            "gradient": bench.ours(scene, "gradient", name),
-            "image": bench.ours(scene),
+        passes: dict[str, Callable] = {"gradient": bench.ours(scene, "gradient", name), "image": bench.ours(scene)}
+        theirs = {
             "their gradient": bench.theirs(scene, "gradient", name),
             "their image": bench.theirs(scene),
         }
+        pair = ("their gradient", "their image") if bench.bears(theirs) else None
         title = f"{scene}, gradient by {name.partition('.')[2]}: time"
-        bench.compare(title, passes, f"<= {wanted}", ("their gradient", "their image"))
+        bench.compare(title, passes if pair is None else passes | theirs, f"<= {wanted}", pair)
     values = psdr.traverse(psdr.load_file(bench.files["grid 64, analytic"]))[GRID].numpy()
     passes = {
         "redistance": lambda _seed: psdr.sdf.redistance(values, device="cpu"),
