@@ -21,7 +21,7 @@ SLOPE_TOLERANCE = 0.02
 STANDARD_ERRORS = 3.0
 #: What the remainder of the difference, of second order in the step, may leave: steps are a twentieth of a pixel.
 REMAINDER = 0.01
-#: By how much samples are more where terms of grids and networks take shares of them.
+#: By how much samples are more where terms of grids, networks and curves take shares of them.
 OF_SHARES = 3
 SEED, WEIGHT_SEED = 300, 900
 #: Modes of a row. Their kernels differ only in where derivatives go, which ``assert_transposes`` compares exactly, so
@@ -125,7 +125,7 @@ def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
     """Return the weighted derivative of every batch."""
     scene, params = load(case.scene)
     tangents, weights, _sums = differences(case)
-    shared = any(s.grid is not None or s.network is not None for s in scene.description.shapes)
+    shared = any(s.grid or s.network or s.curves for s in scene.description.shapes)
     options = {"integrator": case.integrator(boundary), "spp": case.spp * (OF_SHARES if shared else 1)}
     sums = []
     for batch in range(BATCHES):

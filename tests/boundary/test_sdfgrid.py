@@ -148,7 +148,7 @@ CASES = [
     Case("shaded grid, wall", GRID, all_values, STEP, "all values", 4, 512, 1024),
     Case("shaded grid, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 512, 1024),
     Case("bumpy grid, lamp", GRID, all_values, 0.002, "all values", 2, 512, 2048),
-    Case("pierced grid, sky", GRID, all_values, 0.0015, "all values", 2, 2048, 8192),
+    Case("pierced grid, sky", GRID, all_values, 0.0015, "all values", 2, 3072, 8192),
     Case("fine grid, sky", GRID, all_values, 0.0015, "all values", 2, 2048, 8192),
     Case("grid, wall", GRID, all_values, STEP, "all values", 4, 1024, 4096),
     Case("grid, wall", "wall.to_world", entry(0, 3), 0.01, "the wall moves", 4, 1024, 4096),
