@@ -83,7 +83,7 @@ STEP = 0.004
 MOVES = (
     ("x", coordinate(0), 1),
     ("z", coordinate(2), 1),
-    ("one point", coordinate(2, 4), 4),
+    ("one point", coordinate(2, 4), 6),
     ("radii", coordinate(3), 1),
 )
 CASES = [
