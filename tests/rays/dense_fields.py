@@ -23,24 +23,28 @@ WIDE = wp.types.vector(length=64, dtype=wp.float64)
 
 
 @wp.func
-def linear_field(values: wp.array(dtype=wp.float64), n: wp.vec3i, q: wp.vec3d) -> wp.float64:
-    """phi of nodes (x fastest) at a point of the box."""
+def voxel_at(n: wp.vec3i, q: wp.vec3d) -> tuple[wp.vec3i, wp.vec3d]:
+    """The voxel of a point of the box, by x, y and z, and the place in it."""
     zero = wp.float64(0.0)
     one = wp.float64(1.0)
-    total = wp.float64(0.0)
     x = wp.clamp(q[0], zero, one) * wp.float64(n[0] - 1)
     y = wp.clamp(q[1], zero, one) * wp.float64(n[1] - 1)
     z = wp.clamp(q[2], zero, one) * wp.float64(n[2] - 1)
-    i = wp.min(wp.int32(x), n[0] - 2)
-    j = wp.min(wp.int32(y), n[1] - 2)
-    k = wp.min(wp.int32(z), n[2] - 2)
+    at = wp.vec3i(wp.min(wp.int32(x), n[0] - 2), wp.min(wp.int32(y), n[1] - 2), wp.min(wp.int32(z), n[2] - 2))
+    return at, wp.vec3d(x - wp.float64(at[0]), y - wp.float64(at[1]), z - wp.float64(at[2]))
+
+
+@wp.func
+def linear_field(values: wp.array(dtype=wp.float64), n: wp.vec3i, q: wp.vec3d) -> wp.float64:
+    """phi of nodes (x fastest) at a point of the box."""
+    one = wp.float64(1.0)
+    total = wp.float64(0.0)
+    voxel, x = voxel_at(n, q)
     for c in range(2):
         for b in range(2):
-            at = ((k + c) * n[1] + j + b) * n[0] + i
-            v = y - wp.float64(j)
-            w = z - wp.float64(k)
-            row = values[at] + (x - wp.float64(i)) * (values[at + 1] - values[at])
-            total += row * wp.where(b == 1, v, one - v) * wp.where(c == 1, w, one - w)
+            at = ((voxel[2] + c) * n[1] + voxel[1] + b) * n[0] + voxel[0]
+            row = values[at] + x[0] * (values[at + 1] - values[at])
+            total += row * wp.where(b == 1, x[1], one - x[1]) * wp.where(c == 1, x[2], one - x[2])
     return total
 
 
@@ -57,32 +61,23 @@ def basis(x: wp.float64, m: wp.int32) -> wp.float64:
 
 @wp.func
 def cubic_field(values: wp.array(dtype=wp.float64), n: wp.vec3i, q: wp.vec3d) -> wp.float64:
-    zero = wp.float64(0.0)
-    one = wp.float64(1.0)
     total = wp.float64(0.0)
-    x = wp.clamp(q[0], zero, one) * wp.float64(n[0] - 1)
-    y = wp.clamp(q[1], zero, one) * wp.float64(n[1] - 1)
-    z = wp.clamp(q[2], zero, one) * wp.float64(n[2] - 1)
-    i = wp.min(wp.int32(x), n[0] - 2)
-    j = wp.min(wp.int32(y), n[1] - 2)
-    k = wp.min(wp.int32(z), n[2] - 2)
-    x -= wp.float64(i)
-    y -= wp.float64(j)
-    z -= wp.float64(k)
-    x0 = basis(x, 0)
-    x1 = basis(x, 1)
-    x2 = basis(x, 2)
-    x3 = basis(x, 3)
+    voxel, x = voxel_at(n, q)
+    x0 = basis(x[0], 0)
+    x1 = basis(x[0], 1)
+    x2 = basis(x[0], 2)
+    x3 = basis(x[0], 3)
+    i = voxel[0]
     left = wp.max(i - 1, 0)
     right = wp.min(i + 2, n[0] - 1)
     for c in range(4):
-        plane = wp.clamp(k + c - 1, 0, n[2] - 1) * n[1]
+        plane = wp.clamp(voxel[2] + c - 1, 0, n[2] - 1) * n[1]
         rows = wp.float64(0.0)
         for b in range(4):
-            at = (plane + wp.clamp(j + b - 1, 0, n[1] - 1)) * n[0]
+            at = (plane + wp.clamp(voxel[1] + b - 1, 0, n[1] - 1)) * n[0]
             row = x0 * values[at + left] + x1 * values[at + i] + x2 * values[at + i + 1] + x3 * values[at + right]
-            rows += basis(y, b) * row
-        total += basis(z, c) * rows
+            rows += basis(x[1], b) * row
+        total += basis(x[2], c) * rows
     return total
 
 
