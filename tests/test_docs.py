@@ -19,7 +19,7 @@ from warp_psdr.scene.plugins import PLUGINS
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts)
-METHOD_SECTIONS = ["Equation", "Covers and refuses", "Options", "Measured", "Failure modes"]
+METHOD_SECTIONS = ["Option", "How it works", "Covers and refuses", "Cost and accuracy", "Pitfalls"]
 #: A device file's header is a title, a paragraph, and where the derivation is.
 HEADER_LINES = 15
 
