@@ -1,8 +1,9 @@
 """The image by light tracing: paths from the lights, whose vertices are joined to the camera and splatted.
 
 The flux that a vertex sends to the camera counts for every pixel under whose filter it lies, with the weights of
-``sensor/film.py``: those of the path tracer's images. On the CPU every lane of a launch has a film of its own, and
-``collect_splats`` adds them in fixed order in double precision, so that the bits do not depend on the workers.
+``sensor/film.py``, which are those of the path tracer's images. On the CPU every lane of a launch has a film of its
+own. ``collect_splats`` adds these films in fixed order in double precision, so that the bits do not depend on the
+number of workers.
 
 Derivation: ``docs/theory/light_tracing.md#film-weights``.
 """
