@@ -1,8 +1,8 @@
-"""What Warp's compiler is asked for, and the modules that fixed kernels share.
+"""Compiler options, and the Warp modules that kernels without variants share.
 
-Every run of the compiler costs as much as a small kernel. A module is compiled whole, so kernels share one where who
-needs one needs most of them. All files of a module are imported with ``warp_psdr``; a kernel that joins later changes
-the module's name in the cache.
+Every run of the compiler costs as much as a small kernel, and a module is compiled whole. Kernels therefore share a
+module if whoever needs one of them needs most of them. All files of a module are imported with ``warp_psdr``; a kernel
+that joins later changes the module's name in the cache.
 """
 
 import warp as wp

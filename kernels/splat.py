@@ -1,14 +1,12 @@
-"""The primal image under a filter that reaches beyond its pixel: every sample counts for all pixels that it reaches.
+"""The image under a filter that reaches beyond its pixel: every sample counts for all pixels within the filter's reach.
 
-Samples are uniform over each pixel's square; pixel j receives sum_i h(s_i - j) L_i / sum_i h(s_i - j), the usual ratio
-estimator of the filtered radiance. Compared with drawing one pixel's offsets from the filter (``film.py``, what the
-differential passes do, since there a sample has one pixel's adjoint) it uses each path some 4 pi sigma^2 times: the
-variance of a Gaussian of half a pixel falls by 3. Where the film samples its border, the raster is extended by the
-filter's reach. Both estimate the same quantity.
-
-Neighbouring threads would add to the same pixels, so on the CPU every lane of a launch has a film of its own: vec4,
-the weighted radiance and the weight. ``collect`` adds the lanes in fixed order to a film in double precision; the host
-calls it every so many samples, since a float32 sum of very many terms loses digits, and after 2^24 stands still.
+Samples are uniform over each pixel's square. Pixel j receives sum_i h(s_i - j) L_i / sum_i h(s_i - j), the usual ratio
+estimator of the filtered radiance. It uses each path some 4 pi sigma^2 times, compared with drawing one pixel's offsets
+from the filter (``film.py``); the variance of a Gaussian of half a pixel falls by 3. Differential passes use
+``film.py`` all the same, since there a sample has one pixel's adjoint. Both estimate the same quantity. If the film
+samples its border, the raster is extended by the filter's reach. On the CPU every lane of a launch has a film of its
+own (vec4, the weighted radiance and the weight), because neighbouring threads would add to the same pixels. ``collect``
+adds the lanes in fixed order to a film in double precision, every so many samples, since long float32 sums lose digits.
 """
 
 import functools
