@@ -1,4 +1,4 @@
-"""Methods of the interior term side by side on one derivative: what each takes to an accuracy."""
+"""Comparison of methods of the interior term on one derivative: the time that each takes to an accuracy."""
 
 from __future__ import annotations
 

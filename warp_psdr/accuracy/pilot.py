@@ -1,7 +1,7 @@
 """The pilot: a short run that measures what a batch of every term costs and how uncertain it is.
 
-Every term runs once untimed, then twice to tell fixed from marginal cost; rounds of one batch of every term follow
-until the prediction is certain or the pilot's time is over. It is no function of the seed alone.
+Every term runs once untimed, then twice to separate fixed from marginal cost. Rounds of one batch of every term follow
+until the prediction is certain or the pilot's time is over. The result depends on the clock, not on the seed alone.
 
 Derivation: ``docs/theory/accuracy.md#the-pilot``.
 """

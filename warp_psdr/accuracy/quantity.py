@@ -1,4 +1,4 @@
-"""What is estimated: an image, a derivative image or a gradient, as a sum of terms that run one by one.
+"""The estimated quantity: an image, a derivative image or a gradient, as a sum of terms that run one by one.
 
 A *batch* of a term is one run of it with a number of samples and a seed of its own: an independent, unbiased estimate.
 The means of batches of all terms add up to the quantity; so do their variances.

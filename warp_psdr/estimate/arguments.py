@@ -1,4 +1,4 @@
-"""Arguments of the drivers, checked once."""
+"""Checks of the drivers' arguments."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""The pilot of ``interior="auto"``: whether what a request may draw for pays, told by variance times cost.
+"""The pilot of ``interior="auto"``: compares variance times cost of the methods that could serve a request.
 
-A pilot compiles the kernels of what it compares, which takes as long as many gradients of a small scene: it waits until
-a request has spent ``SPENT`` samples. Then every method draws ``ROUNDS`` times ``BATCHES`` batches of some pixels with
-equal random numbers. Launches on the CPU keep sums of blocks of pixels apart, whose variances add up. Costs are fixed
-factors, never timed, so that equal calls in equal order choose alike, with any number of workers. A call that was
-replayed is replayed when it is repeated with the same seed and values.
+A pilot compiles the kernels of the methods it compares, which takes as long as many gradients of a small scene. It
+therefore waits until a request has spent ``SPENT`` samples. Every method then draws ``ROUNDS`` times ``BATCHES``
+batches of some pixels with equal random numbers. Launches on the CPU keep sums of blocks of pixels apart, whose
+variances add up. Costs are fixed factors, never timed, so that equal calls in equal order choose alike, with any number
+of workers. A call that was replayed is replayed again when it is repeated with the same seed and values.
 
 Derivation: ``docs/theory/interior.md#which-method``.
 """

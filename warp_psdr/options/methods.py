@@ -1,4 +1,4 @@
-"""The published methods that exist here: the one table behind ``psdr.methods()``, the README and the documentation."""
+"""The table of the published methods behind ``psdr.methods()``, the README and the documentation."""
 
 from __future__ import annotations
 

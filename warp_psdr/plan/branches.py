@@ -1,4 +1,4 @@
-"""Branches: which derivatives the methods draw for, which they refuse, and the kernels of both and of the rest."""
+"""Branches in the plan: derivatives that the methods draw for, derivatives that they refuse, and all of their kernels."""
 
 from __future__ import annotations
 

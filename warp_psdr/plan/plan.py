@@ -1,7 +1,7 @@
 """The plan: what a scene, the requested parameters and the integrator call for, and nothing else.
 
-Everything here becomes a compile-time constant of the kernels, so that what the plan leaves out costs neither run time
-nor compile time.
+Every decision becomes a compile-time constant of the kernels. What the plan leaves out costs neither run time nor
+compile time.
 """
 
 from __future__ import annotations

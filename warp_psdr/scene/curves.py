@@ -1,4 +1,4 @@
-"""Curves with a radius: how they are read, and what the kernels need of them (``kernels/primitive/curves.py``)."""
+"""Curves with a radius: the reader, and the values that the kernels need (``kernels/primitive/curves.py``)."""
 
 from __future__ import annotations
 

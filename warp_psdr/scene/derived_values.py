@@ -1,8 +1,7 @@
-"""From sources to derived values and back: poses to vertices and to inverses, positions to vertex normals.
+"""Derived values from their sources, and back: poses to vertices and to inverses, positions to vertex normals.
 
-The rendering kernels know vertex positions and normals only, and of a volume's pose its inverse. In reverse mode their
-gradients are pulled back to what they were computed from; in forward mode the tangents of the sources are pushed on
-before the kernels run.
+The rendering kernels know only vertex positions and normals, and the inverse of a volume's pose. Reverse mode pulls
+their gradients back to the sources. Forward mode pushes the tangents of the sources on before the kernels run.
 """
 
 from __future__ import annotations

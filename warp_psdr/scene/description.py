@@ -1,7 +1,7 @@
 """A scene as plain values: what the readers produce and what the device build consumes.
 
 Everything is NumPy, float32, world space and validated; nothing here knows Warp. ``path`` fields hold the name under
-which ``psdr.traverse`` lists a thing's values (Mitsuba 3's names), for example ``"wall.reflectance"``.
+which ``psdr.traverse`` lists the values of an object (Mitsuba 3's names), for example ``"wall.reflectance"``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Shapes without triangles: how they are described, and their points.
+"""Shapes without triangles: their description, and their points.
 
-In place of vertices such a shape has the corners of a box around it, which move with it: whatever asks how large a
-scene is, and where, finds them among the points of the scene. No triangle has them, and no parameter is them.
+In place of vertices such a shape has the corners of a box around it, which move with it. Code that asks how large a
+scene is, and where, finds these corners among the points of the scene. No triangle and no parameter uses them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Copies of shapes of groups: how they follow the shape, and how derivatives go back to it.
+"""Copies of the shapes of groups: their vertices as a function of the original, and both directions of the derivative.
 
-A copy's position is x = M p + t, of the vertex p of the group's shape and the pose of the instance; its normal is
-normalize(M^-T n). So the adjoint of p is the sum of M^T dx over the copies (``kernels/shape/transform.py``). Normals n
-that follow from the vertices do so in the group's space, as in Mitsuba.
+A copy's position is x = M p + t, with the vertex p of the group's shape and the pose of the instance; its normal is
+normalize(M^-T n). The adjoint of p is therefore the sum of M^T dx over the copies (``kernels/shape/transform.py``).
+Normals n that follow from the vertices do so in the group's space, as in Mitsuba.
 """
 
 from __future__ import annotations

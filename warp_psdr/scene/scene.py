@@ -1,4 +1,4 @@
-"""A scene on a device: records for the kernels, and what has to be refreshed when values change."""
+"""A scene on a device: records for the kernels, and their update when values change."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Rims of exact shapes that are no open edges: disks that close cylinders, and cylinders that stand on a surface.
 
-A disk's rim and a cylinder's that coincide are one edge of two surfaces, the disk's. A cylinder's rim that lies in a
-flat surface, which goes on on both sides, is no edge: the two surfaces meet as if the cylinder went on through the
-other, in a curve of intersection; a disk between the two is not seen. All holds for motions that keep what joins
-together.
+If a disk's rim and a cylinder's coincide, they are one edge of two surfaces, the disk's. If a cylinder's rim lies in a
+flat surface that continues on both sides, the rim is no edge: the two surfaces meet in a curve of intersection, as if
+the cylinder went on through the other; a disk between the two is not seen. Both hold for motions that keep together
+what joins.
 
 Derivation: ``docs/theory/implicit.md#rims-that-join``.
 """

@@ -1,4 +1,4 @@
-"""A sample of a boundary term, drawn again: what ``psdr.trace_sample`` returns for it.
+"""One sample of a boundary term, drawn again: the result of ``psdr.trace_sample``.
 
 The term's own kernel runs over that one sample, compiled so that it writes down what it meets (``kernels/notes.py``).
 """
