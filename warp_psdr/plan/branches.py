@@ -1,4 +1,4 @@
-"""Branches in the plan: derivatives that the methods draw for, derivatives that they refuse, and all of their kernels."""
+"""Branches in the plan: the derivatives that the methods draw for or refuse, and all kernels of a request."""
 
 from __future__ import annotations
 
