@@ -20,7 +20,7 @@ MAX_LINES = 500
 HOST_LAYERS = (
     {
         *("arrays", "compiler", "device", "exr_header", "files", "float_images", "headers", "html", "image"),
-        *("image_io", "invalid", "losses", "plots", "progress", "quiet", "workers"),
+        *("image_io", "invalid", "kernel_cache", "losses", "plots", "progress", "quiet", "startup", "workers"),
     },
     {"options"},
     {"scene"},
