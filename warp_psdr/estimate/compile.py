@@ -12,7 +12,6 @@ from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
-from warp_psdr.scene import load
 from warp_psdr.scene.derived_values import pull_kernels
 from warp_psdr.scene.loaded import check_loaded
 
@@ -94,6 +93,3 @@ def image_ahead(scene: Scene) -> None:
             compiler.begin(light.image_kernels(scene, plan, 0), scene.device)
     except Exception:
         return  # whoever renders gets to hear of it
-
-
-load.ahead.append(image_ahead)
