@@ -7,6 +7,7 @@ loaded by whoever asks for it, at once. Results do not depend on when or where a
 
 from __future__ import annotations
 
+import importlib
 import math
 import os
 import sys
@@ -21,6 +22,7 @@ from dataclasses import dataclass
 import warp as wp
 
 from warp_psdr import headers, kernel_cache, workers
+from warp_psdr.kernels.modules import FILES
 from warp_psdr.progress import draws_bars, progress
 
 #: Most threads that compile.
@@ -66,7 +68,10 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
         return started  # the interpreter takes no more threads
     for module in dict.fromkeys(kernel.module for kernel in kernels):
         key = (module, device.alias)
-        if key in _loaded or key in _jobs or kernel_cache.contains(module, device):
+        if key in _loaded or key in _jobs:
+            continue
+        _complete(module)
+        if kernel_cache.contains(module, device):
             continue
         if device.is_cpu:
             headers.begin()
@@ -144,6 +149,12 @@ def _show(job: Future, running: list[Future]) -> None:
         while not job.done():
             report(sum(j.done() for j in running), "")
             wait([job], timeout=BAR_SECONDS)
+
+
+def _complete(module: wp.Module) -> None:
+    """Import all files whose kernels share a module, for one that joins later would compile it anew."""
+    for file in FILES.get(module.name, ()):
+        importlib.import_module(f"warp_psdr.kernels.{file}")
 
 
 def _compile(module: wp.Module, device: wp.Device) -> None:
