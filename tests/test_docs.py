@@ -87,7 +87,10 @@ def test_measurements_say_where_they_were_made(file: Path) -> None:
     columns: dict[str, list[str]] = {}
     for line in file.read_text(encoding="utf-8").splitlines():
         row = json.loads(line)
-        assert {"cpu", "cores", "commit"} <= set(row["machine"])
+        if file.stem.startswith("slopes"):  # equal on every machine
+            assert re.fullmatch(r"[0-9a-f]{8}", row["commit"])
+        else:
+            assert {"cpu", "cores", "commit"} <= set(row["machine"])
         assert list(row) == columns.setdefault(row["table"], list(row))
 
 
