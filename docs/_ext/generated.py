@@ -263,7 +263,7 @@ def measured(file: Path) -> str:
 def _cell(row: dict, key: str) -> str:
     """Return a cell: a slope and its error with equally many decimals, pairs as ranges."""
     value = row[key]
-    if key not in ("slope", "error") or "error" not in row or value is None:
+    if key not in ("slope", "error") or not {"slope", "error"} <= set(row) or value is None:
         return _number(value)
     alike = value if isinstance(value, list) else [x for x in (row["slope"], row["error"]) if isinstance(x, float)]
     decimals = max(2, *(len(repr(x).partition(".")[2]) for x in alike))
