@@ -94,6 +94,15 @@ def test_measurements_say_where_they_were_made(file: Path) -> None:
         assert list(row) == columns.setdefault(row["table"], list(row))
 
 
+def test_limits_are_one_page() -> None:
+    assert len((DOCS / "limits.md").read_text(encoding="utf-8").split()) <= 900, "details go to reference/coverage.md"
+
+
+@pytest.mark.parametrize("page", ["limits", "choosing", "concepts", "performance"])
+def test_first_pages_hold_no_typed_slopes(page: str) -> None:
+    assert "±" not in (DOCS / f"{page}.md").read_text(encoding="utf-8"), "slopes are lines of docs/data/slopes_*.jsonl"
+
+
 def test_every_example_is_listed() -> None:
     text = (DOCS / "start.md").read_text(encoding="utf-8")
     for file in (ROOT / "examples").glob("*.py"):

@@ -267,7 +267,7 @@ def _cell(row: dict, key: str) -> str:
         return _number(value)
     alike = value if isinstance(value, list) else [x for x in (row["slope"], row["error"]) if isinstance(x, float)]
     decimals = max(2, *(len(repr(x).partition(".")[2]) for x in alike))
-    return " to ".join(f"{x:.{decimals}f}" for x in (value if isinstance(value, list) else [value]))
+    return "–".join(f"{x:.{decimals}f}" for x in (value if isinstance(value, list) else [value]))
 
 
 def _number(value) -> str:

@@ -171,7 +171,7 @@ def runs() -> dict[str, list[str]]:
             for _, line in _rows(source):
                 settings = found.setdefault(_run(line["machine"]), [])
                 setting = re.search(r"\d+ × \d+ pixels[^:;(]*", line["table"])
-                text = f"{line['benchmark']}: {setting.group().strip()}" if setting else ""
+                text = f"`{line['benchmark']}`: {setting.group().strip()}" if setting else ""
                 if text and text not in settings:
                     settings.append(text)
     return found
