@@ -1,6 +1,6 @@
 """Contacts: the interior term's fireflies where a moving surface touches another, and what is done about them.
 
-Near a line of contact of two surfaces that move against each other a sample is as large as v / r and has no variance.
+Near a line of contact of two surfaces with relative motion, a sample is as large as v / r and has no finite variance.
 So what changes because of that motion is multiplied by chi = 3 (s / rho)^2 where s < rho and 1 elsewhere, s the
 distance from the line of contact: the mean of chi is one, and its bias is of second order in rho.
 

@@ -1,4 +1,4 @@
-"""Warped-area sampling beside path space's interior term [XBLZ23] (survey eq. 34 to 36).
+"""Warped-area sampling beside path space's interior term [XBLZ23] ([ZCZ25] eq. 34 to 36).
 
 The interior term holds vertices on their triangles. Along each segment of a path the boundary term is the integral of
 div (f V_K), where V_K is how far rays move against the points that they find, V - m: zero where nothing hides anything.

@@ -1,4 +1,4 @@
-"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] (survey 2.3.1).
+"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] ([ZCZ25] 2.3.1).
 
 Convolved with a von Mises-Fisher kernel k about mu, an integral over directions is one of integrals over kernels, and
 in each of them all rays may turn together, V(w) = W(mu) x w, which leaves areas as they are. A few auxiliary rays of

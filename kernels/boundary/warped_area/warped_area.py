@@ -1,4 +1,4 @@
-"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] (survey eq. 32).
+"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] ([ZCZ25] eq. 32).
 
 Where the directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, what they
 meet has no moving discontinuity. Of the integral of f L over the directions from a vertex the derivative is d(f L) with
