@@ -90,14 +90,15 @@ def decide(
     assert plan.wanted is not None
     methods = choice.candidates(plan)
     plans = [choice.by(plan, method) for method in (None, *(method for _kind, method in methods))]
-    compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
-    # (rounds, plans, parameters)
-    rounds = np.array(
-        [
-            [variance(scene, p, names, role, sensor, mix_seed(mix_seed(seed, PILOT), r), given) for p in plans]
-            for r in range(ROUNDS)
-        ]
-    )
+    with compiler.because("to compare methods for this repeated gradient"):
+        compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
+        # (rounds, plans, parameters)
+        rounds = np.array(
+            [
+                [variance(scene, p, names, role, sensor, mix_seed(mix_seed(seed, PILOT), r), given) for p in plans]
+                for r in range(ROUNDS)
+            ]
+        )
     variances = rounds.mean(axis=0)
     variances[1:] += DOUBT * rounds[:, 1:].std(axis=0, ddof=1) / np.sqrt(ROUNDS)
     found.decided = True

@@ -1,4 +1,4 @@
-"""Methods of the interior term (survey eq. 12 first term, section 3)."""
+"""Methods of the interior term ([ZCZ25] eq. 12 first term, section 3)."""
 
 from __future__ import annotations
 

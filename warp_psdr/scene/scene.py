@@ -39,6 +39,7 @@ from warp_psdr.scene.sunsky import follow_sky
 from warp_psdr.scene.super_grid import rebuild
 from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
+from warp_psdr.startup import device_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -85,9 +86,8 @@ class Scene:
             device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
             ahead: called with this scene where its own kernels have to be compiled, to begin others beside them.
         """
-        compiler.start_warp()
+        self.device = device_named(device)
         self.description = description
-        self.device = wp.get_device(device)
         builder = Builder(description)
         self.builder = builder
         self.invalid = Ledger()

@@ -1,4 +1,4 @@
-"""Warped-area sampling beside path space's interior term [XBLZ23] (survey eq. 34 to 36).
+"""Warped-area sampling beside path space's interior term [XBLZ23] ([ZCZ25] eq. 34 to 36).
 
 The interior term keeps vertices on their triangles. Along each segment of a path, the boundary term is the integral of
 div (f V_K), where V_K = V - m is the motion of rays against the points that they find: zero where nothing is occluded.

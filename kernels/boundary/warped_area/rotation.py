@@ -1,4 +1,4 @@
-"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] (survey 2.3.1).
+"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] ([ZCZ25] 2.3.1).
 
 An integral over directions is convolved with a von Mises-Fisher kernel k about mu. In each kernel all rays turn
 together, V(w) = W(mu) x w, which preserves areas. A few auxiliary rays of the kernel choose the point that it turns

@@ -1,4 +1,4 @@
-"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] (survey eq. 32).
+"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] ([ZCZ25] eq. 32).
 
 The directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, so that they meet
 no moving discontinuity. The integral of f L over the directions from a vertex then has the derivative d(f L), with the

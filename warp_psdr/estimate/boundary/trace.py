@@ -141,7 +141,7 @@ def trace_boundary(
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
     if tangents is None:
-        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, scene, sensor)
+        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, shape, scene.device)
         # Room for float64 sums (``kernels/sink.py``).
         target = wp.zeros(2 * scene.values.shape[0], dtype=wp.float32, device=scene.device)
     else:

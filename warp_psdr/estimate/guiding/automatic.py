@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
 from warp_psdr.estimate.gradient_sums import GradientSums
@@ -75,7 +76,8 @@ def choose(
     if call in found.plain:
         return plain
     if not found.decided and found.spent:
-        _decide(found, scene, plain, names, role, sensor, spp, seed, given)
+        with compiler.because("to try guiding for this repeated gradient"):
+            _decide(found, scene, plain, names, role, sensor, spp, seed, given)
     if found.method is not None:
         return replace(plan, boundary=PathSpace(guiding=found.method))
     if len(found.plain) < REMEMBERED:
