@@ -90,7 +90,8 @@ class PathSpace(Connecting):
 
     The method is unbiased for triangle meshes with moving shapes, which may run through each other and interpolate
     normals, for area, environment, point, spot and directional lights, and for a moving camera, at any depth. Through
-    smooth mirrors and glass it searches along lines (``kernels/boundary/specular/line_search.py``), to 16 path vertices.
+    smooth mirrors and glass it searches along lines, to 16 path vertices
+    (``kernels/boundary/specular/line_search.py``).
 
     It refuses textures with steps (checkerboards, bitmaps that take the nearest texel) that move before the camera or
     beside mirrors and glass, faces' attributes where texture coordinates move, spots and projectors whose light ends

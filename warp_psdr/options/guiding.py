@@ -65,8 +65,8 @@ class KdTree(Method):
     """Adaptive k-d trees, one for each technique [YLB*22, sections 4 and 5] (options: see ``guiding.Method``).
 
     Leaves start as slabs of neighbouring edges (``edge_chains.py``). They are split where that lowers the variance
-    most, in the middle of the axis that lowers it most. (The paper splits by the difference between corner and random values,
-    which are both spikes at the silhouettes of fine meshes.) Densities are linear within leaves.
+    most, in the middle of the axis that lowers it most. (The paper splits by the difference between corner and
+    random values, which are both spikes at the silhouettes of fine meshes.) Densities are linear within leaves.
     """
 
 

@@ -270,8 +270,8 @@ class RadiativeTransfer(Method):
 
     The method is for small scenes with homogeneous media. Directions and distances are fixed in the world, unlike in
     ``Replay()``. It estimates the terms of moving ends of flights, and of edges that vertices of a path see, on
-    surfaces and in the medium; there is no method of the boundary term beside it. Derivatives by parameters that move nothing
-    are those of ``Replay()``.
+    surfaces and in the medium; there is no method of the boundary term beside it. Derivatives by parameters that
+    move nothing are those of ``Replay()``.
 
     Attributes:
         edges: sample the edges that path vertices see; False leaves them out.
