@@ -204,10 +204,10 @@ class ShapeDescription:
     flip_normals: bool = False
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
     emitter: EmitterDescription | None = None
-    #: Tessellated analytic shapes (rectangle, cube, sphere, disk, cylinder): the object-space source of the above, so
-    #: that ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose.
+    #: ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose. None: the
+    #: matrix has no inverse, or the shape is part of a group.
     to_world: np.ndarray | None = None  #: (4, 4)
-    local_vertices: np.ndarray | None = None  #: (N, 3)
+    local_vertices: np.ndarray | None = None  #: (N, 3) object space; None: found from the vertices (``scene/poses.py``)
     local_normals: np.ndarray | None = None  #: (N, 3)
     sensor: SensorDescription | None = None  #: an irradiance meter
     interior: MediumDescription | None = None  #: medium behind the triangles, against their normals

@@ -117,7 +117,7 @@ def update_record(scene: Scene, shape: int) -> None:
     Raises:
         ValueError: its pose has no inverse.
     """
-    pose, s = scene.pose_offsets(shape)[0], scene.description.shapes[shape]
+    pose, s = scene.poses.offsets(shape)[0], scene.description.shapes[shape]
     # Of curves the record holds a box around them.
     pose = scene.builder.curves.get(shape, pose)
     reason = "" if s.curves is not None else singular(scene.values[pose : pose + 16].numpy().reshape(4, 4))

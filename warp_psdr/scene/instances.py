@@ -122,7 +122,7 @@ class Instances:
             count = len(p.description.vertices)
             sums = [wp.zeros(3 * count, dtype=wp.float64, device=device) for _ in range(2)]
             for shape in p.copies:
-                inputs = [scene.values, *scene.local_geometry(shape), *scene.pose_offsets(shape), grad]
+                inputs = [scene.values, *scene.poses.local(shape), *scene.poses.offsets(shape), grad]
                 launch(local_shape_vjp, dim=count, inputs=inputs, outputs=sums, device=device)
             for total, offset in zip(sums, (p.positions, p.normals), strict=True):
                 if offset >= 0:
@@ -155,6 +155,6 @@ class Instances:
                 inputs = [normals, sums, p.normals]
                 launch(normalization_jvp, dim=count, inputs=inputs, outputs=[tangent], device=device)
             for shape in p.copies:
-                inputs = [scene.values, *scene.local_geometry(shape), *scene.pose_offsets(shape)]
+                inputs = [scene.values, *scene.poses.local(shape), *scene.poses.offsets(shape)]
                 inputs += [p.positions, p.normals]
                 launch(local_shape_jvp, dim=count, inputs=inputs, outputs=[tangent], device=device)

@@ -189,7 +189,7 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
 def _velocity(scene: Scene, tangents: np.ndarray, shape: int, points: np.ndarray) -> np.ndarray:
     """Return the velocities (N, 3) of the material points of a shape at points (N, 3) of it."""
     if shape in scene.builder.primitives:
-        offset = scene.pose_offsets(shape)[0]
+        offset = scene.poses.offsets(shape)[0]
         linear, origin = pose(scene, shape)
         rate = tangents[offset : offset + 16].reshape(4, 4).astype(np.float64)
         return (points - origin) @ np.linalg.inv(linear).T @ rate[:3, :3].T + rate[:3, 3]
