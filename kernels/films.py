@@ -1,4 +1,4 @@
-"""Films that several lanes of a launch have written: their sums in fixed order, in double precision, and the images."""
+"""Films that several lanes of a launch have written: their sums in fixed order, the images, and their channels."""
 
 import warp as wp
 
@@ -61,3 +61,27 @@ def add_splats(
     """Add the light paths' part to an image."""
     row, column = wp.tid()
     image_out[row, column] = wp.vec3(wp.vec3d(image_out[row, column]) + total[row, column])
+
+
+@wp.kernel(module=SCENE, enable_backward=False)
+def take_channel(
+    # In:
+    image: wp.array2d(dtype=wp.vec3),
+    # Out:
+    channel_out: wp.array2d(dtype=wp.float32),
+):
+    """Take the first channel of an image, whose channels are equal."""
+    row, column = wp.tid()
+    channel_out[row, column] = image[row, column][0]
+
+
+@wp.kernel(module=SCENE, enable_backward=False)
+def give_channel(
+    # In:
+    adjoint: wp.array2d(dtype=wp.float32),
+    # In and out:
+    adjoint_out: wp.array2d(dtype=wp.vec3),
+):
+    """Add the adjoint of the first channel to that of an image."""
+    row, column = wp.tid()
+    adjoint_out[row, column] = adjoint_out[row, column] + wp.vec3(adjoint[row, column], 0.0, 0.0)

@@ -37,14 +37,19 @@ def relative_squared(difference: wp.float32, target: wp.float32, parameter: wp.f
 
 
 @functools.cache
-def make_terms(term):
-    """Make the kernel that sums ``term(image - target, target, parameter)`` over the channels of every pixel."""
+def make_terms(term, channels: int):
+    """Make the kernel of every pixel's weight times ``term(image - target, target, parameter)``, summed over channels.
+
+    ``channels``: 3, of images of vec3, or 1, of float32.
+    """
+    dtype = wp.vec3 if channels == 3 else wp.float32
 
     @wp.kernel(module="unique", module_options=wide_vectors())
     def terms(
         # In:
-        image: wp.array2d(dtype=wp.vec3),
-        target: wp.array2d(dtype=wp.vec3),
+        image: wp.array2d(dtype=dtype),
+        target: wp.array2d(dtype=dtype),
+        weights: wp.array2d(dtype=wp.float32),
         parameter: wp.float32,
         # Out:
         terms_out: wp.array2d(dtype=wp.float32),
@@ -52,9 +57,14 @@ def make_terms(term):
         i, j = wp.tid()
         a = image[i, j]
         b = target[i, j]
-        terms_out[i, j] = (
-            term(a[0] - b[0], b[0], parameter) + term(a[1] - b[1], b[1], parameter) + term(a[2] - b[2], b[2], parameter)
-        )
+        if wp.static(channels == 1):
+            terms_out[i, j] = weights[i, j] * term(a - b, b, parameter)
+        else:
+            terms_out[i, j] = weights[i, j] * (
+                term(a[0] - b[0], b[0], parameter)
+                + term(a[1] - b[1], b[1], parameter)
+                + term(a[2] - b[2], b[2], parameter)
+            )
 
     return terms
 

@@ -24,6 +24,7 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.notes import NOTE_VERTEX, note
+from warp_psdr.kernels.property import make_property_step
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import (
     SLOTS_PER_VERTEX,
@@ -91,6 +92,8 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     next-event estimates before the path meets a shape that matters (``interior/replay.py``). ``traced``: the camera's
     ray has been, ``state.seen`` is what it meets.
     """
+    if config.shown:
+        return make_property_step(config, traced)
     visibility = visibility_of(config)
     interaction = make_interaction(config)
     emission_hit = make_emission_hit(config)

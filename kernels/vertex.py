@@ -78,6 +78,8 @@ class PathConfig:
     material_first: bool = False
     #: Of a transient film, the kind of its pulse (PULSE_*, ``sensor/time_gate.py``); 0: the film has no time bins.
     pulse: int = 0
+    #: Of an image of what the camera sees first, the property that it shows (``property.py``); empty: radiance.
+    shown: str = ""
 
 
 @wp.struct

@@ -146,7 +146,7 @@ FACTORIES = {
     "adam.make_count_unusable": [("", (), FAST)],
     "primitive.redistance.make_sweep_kernel": [("", (), FAST)],
     "primitive.redistance.make_mesh_distance_kernel": [("", (), FAST)],
-    "loss.make_terms": [("relative", (relative_squared,), FAST)],
+    "loss.make_terms": [("relative", (relative_squared, 3), FAST), ("of one channel", (relative_squared, 1), SLOW)],
     "loss.make_sums": [("", (), FAST)],
     "loss.make_grid_terms": [("", (), SLOW)],
     "loss.make_total": [("", (), SLOW)],

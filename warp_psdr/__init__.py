@@ -20,7 +20,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.image_io import read_image, write_image
     from warp_psdr.invalid import invalid_samples
     from warp_psdr.moment import render_moment
-    from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
     from warp_psdr.options.methods import methods
     from warp_psdr.parts import render_parts
     from warp_psdr.plan.plan import Plan, plan
@@ -37,6 +37,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
 __version__ = "0.1.0"
 
 __all__ = [
+    "AovIntegrator",
     "BoundaryTrace",
     "Compilation",
     "Image",
@@ -83,6 +84,7 @@ __all__ = [
 #: The module of each public name, and of each public module itself, which is loaded when the name is first used.
 #: ``torch`` is not in ``__all__``: a star import would ask for PyTorch.
 _PUBLIC = {
+    "AovIntegrator": "options.integrator",
     "BoundaryTrace": "estimate.boundary.trace",
     "Compilation": "estimate.compile",
     "Image": "image",

@@ -8,19 +8,25 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.device import active_tape, launch
 from warp_psdr.estimate.arguments import checked_seed, sample_count
 from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, visible
 from warp_psdr.estimate.views import count_of_views, each, shape_of_views, whole
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.aov import CHANNELS
+from warp_psdr.kernels.films import give_channel, take_channel
+from warp_psdr.kernels.property import PROPERTIES
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.options.integrator import PathIntegrator
+from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
 from warp_psdr.plan.plan import decide
+from warp_psdr.render import render
 from warp_psdr.scene.aovs import check_type, parse_aovs
 from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.loaded import check_loaded
+from warp_psdr.scene.parameters import check_owner
 
 if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
 
@@ -29,15 +35,19 @@ def render_aov(
     scene: Scene,
     aovs: str | Sequence[str] | Mapping[str, str] | None = None,
     *,
+    params: Parameters | None = None,
     sensor: Sensor = 0,
     spp: int | None = None,
     seed: int = 0,
+    tape: wp.Tape | None = None,
     progress: Progress | None = None,
 ) -> dict[str, wp.array]:
     """Render properties of the surfaces that the camera sees, averaged under the pixel filter; 0 where it sees none.
 
-    They are not differentiable. Numbers of shapes and triangles are averaged too, so they are whole only in pixels that
-    see one: take a narrow box filter, or one sample.
+    On a tape, ``mask``, ``depth``, ``position`` and ``sh_normal`` have derivatives by what ``params`` requests, moving
+    silhouettes included, as images of ``psdr.AovIntegrator`` have: for losses on silhouettes, depths and normals.
+    Numbers of shapes and triangles are averaged too, so they are whole only in pixels that see one: take a narrow box
+    filter, or one sample.
 
     Args:
         scene: a loaded scene.
@@ -53,9 +63,12 @@ def render_aov(
             * ``albedo``: diffuse reflectance, or pi times what is scattered along the normal;
             * ``prim_index``, ``shape_index``: of the triangle in its shape, and of the shape in the scene;
             * ``mask``: share of the pixel that sees a surface.
+        params: parameters of the scene, after ``requires_grad``; needed with a tape only.
         sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits.
+        tape: a Warp tape to record on, as of ``render``; in a tape's ``with`` block that tape, if ``params`` requests
+            something.
         progress: called with the finished fraction.
 
     Returns:
@@ -63,10 +76,18 @@ def render_aov(
             (``uv``) or vec3.
 
     Raises:
-        ValueError: nothing or an unknown type is asked for, or an option is out of range.
+        ValueError: nothing or an unknown type is asked for, an option is out of range, or with a tape a type without
+            derivatives.
     """
     check_loaded(scene)
     wanted = _wanted(scene, aovs)
+    if params is not None:
+        check_owner(scene, params)
+        if tape is None and params.requested:
+            tape = active_tape()
+    if tape is not None:
+        options = {"sensor": sensor, "spp": spp, "seed": seed}
+        return {name: _differentiable(scene, params, kind, tape, progress, options) for name, kind in wanted.items()}
     views, seed = scene.description.views(sensor), checked_seed(seed)
     if views.several:
         spp = count_of_views(scene, views, spp)
@@ -107,3 +128,28 @@ def _wanted(scene: Scene, aovs: str | Sequence[str] | Mapping[str, str] | None) 
     for kind in wanted.values():
         check_type(kind, "aovs")
     return wanted
+
+
+def _differentiable(
+    scene: Scene, params: Parameters | None, kind: str, tape: wp.Tape, progress: Progress | None, options: dict
+) -> wp.array:
+    """Return a property that is recorded on a tape; the channels of a mask or a depth are one."""
+    if kind not in PROPERTIES:
+        raise ValueError(
+            f"aovs: {kind!r} has no derivatives; on a tape take {', '.join(map(repr, PROPERTIES))}, and the others in "
+            "a call without params"
+        )
+    integrator = AovIntegrator(aov=kind)  # type: ignore[arg-type]
+    image = render(scene, params, integrator=integrator, tape=tape, progress=progress, **options)
+    if kind not in ("mask", "depth"):
+        return image
+    found = wp.zeros(image.shape, dtype=wp.float32, device=scene.device, requires_grad=True)
+    flat = [array.reshape((image.shape[0], image.size // image.shape[0])) for array in (image, found)]
+    launch(take_channel, dim=flat[0].shape, inputs=flat[:1], outputs=flat[1:], device=scene.device)
+
+    def backward() -> None:
+        adjoints = [array.grad.reshape(flat[0].shape) for array in (found, image)]
+        launch(give_channel, dim=flat[0].shape, inputs=adjoints[:1], outputs=adjoints[1:], device=scene.device)
+
+    tape.record_func(backward, [found, image])
+    return found

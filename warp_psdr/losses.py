@@ -23,14 +23,19 @@ from warp_psdr.kernels import loss as kernels
 __all__ = ["eikonal", "huber", "l1", "l2", "laplacian", "relative_l2", "total"]
 
 CHANNELS = 3
+#: Weights of pixels, or None.
+Weights = np.ndarray | wp.array | None
 
 
-def l2(image: wp.array, target: wp.array | np.ndarray) -> wp.array:
+def l2(image: wp.array, target: wp.array | np.ndarray, *, weights: Weights = None) -> wp.array:
     """Return the mean squared difference, ``mean((image - target)^2)``.
 
     Args:
-        image: Rendered image, ``wp.array2d[vec3]`` of shape ``(H, W)``, or ``(H, W, bins)``; differentiable.
-        target: Image of the same shape, or a NumPy array ``(H, W, 3)``; a constant.
+        image: Rendered image, ``wp.array2d[vec3]`` of shape ``(H, W)``, ``(B, H, W)`` or ``(H, W, bins)``, or a mask or
+            depth of ``render_aov``, float32; differentiable.
+        target: Image of the same shape, or a NumPy array ``(H, W, 3)``, ``(H, W)`` of a mask or depth; a constant.
+        weights: Of the pixels, ``(H, W)``, not negative: the mean is ``sum(weights * loss) / (sum(weights) channels)``,
+            so that 0 leaves pixels out; a constant. None: all alike.
 
     Returns:
         Array of shape ``(1,)``, float32, on the image's device.
@@ -39,15 +44,16 @@ def l2(image: wp.array, target: wp.array | np.ndarray) -> wp.array:
         TypeError: If ``image`` or ``target`` is no image.
         ValueError: If their shapes differ.
     """
-    return _mean(kernels.squared, image, target)
+    return _mean(kernels.squared, image, target, weights)
 
 
-def l1(image: wp.array, target: wp.array | np.ndarray) -> wp.array:
+def l1(image: wp.array, target: wp.array | np.ndarray, *, weights: Weights = None) -> wp.array:
     """Return the mean absolute difference, ``mean(|image - target|)``; its derivative at equality is 0.
 
     Args:
         image: As for :func:`l2`.
         target: As for :func:`l2`.
+        weights: As for :func:`l2`.
 
     Returns:
         Array of shape ``(1,)``, float32, on the image's device.
@@ -56,16 +62,17 @@ def l1(image: wp.array, target: wp.array | np.ndarray) -> wp.array:
         TypeError: If ``image`` or ``target`` is no image.
         ValueError: If their shapes differ.
     """
-    return _mean(kernels.absolute, image, target)
+    return _mean(kernels.absolute, image, target, weights)
 
 
-def huber(image: wp.array, target: wp.array | np.ndarray, *, delta: float = 0.1) -> wp.array:
+def huber(image: wp.array, target: wp.array | np.ndarray, *, delta: float = 0.1, weights: Weights = None) -> wp.array:
     """Return the mean Huber loss: ``d^2 / 2`` where ``|d| <= delta``, ``delta (|d| - delta / 2)`` beyond.
 
     Args:
         image: As for :func:`l2`.
         target: As for :func:`l2`.
         delta: Difference beyond which the loss grows linearly, in units of radiance.
+        weights: As for :func:`l2`.
 
     Returns:
         Array of shape ``(1,)``, float32, on the image's device.
@@ -74,10 +81,12 @@ def huber(image: wp.array, target: wp.array | np.ndarray, *, delta: float = 0.1)
         TypeError: If ``image`` or ``target`` is no image.
         ValueError: If their shapes differ or ``delta`` is not positive.
     """
-    return _mean(kernels.huber, image, target, _positive("delta", delta))
+    return _mean(kernels.huber, image, target, weights, _positive("delta", delta))
 
 
-def relative_l2(image: wp.array, target: wp.array | np.ndarray, *, epsilon: float = 1e-2) -> wp.array:
+def relative_l2(
+    image: wp.array, target: wp.array | np.ndarray, *, epsilon: float = 1e-2, weights: Weights = None
+) -> wp.array:
     """Return the mean squared difference relative to the target, ``mean((image - target)^2 / (target^2 + epsilon))``.
 
     Dividing by the target, not by the rendered image, keeps the derivative free of the image's own noise.
@@ -86,6 +95,7 @@ def relative_l2(image: wp.array, target: wp.array | np.ndarray, *, epsilon: floa
         image: As for :func:`l2`.
         target: As for :func:`l2`.
         epsilon: Squared radiance below which the difference counts as absolute.
+        weights: As for :func:`l2`.
 
     Returns:
         Array of shape ``(1,)``, float32, on the image's device.
@@ -94,7 +104,7 @@ def relative_l2(image: wp.array, target: wp.array | np.ndarray, *, epsilon: floa
         TypeError: If ``image`` or ``target`` is no image.
         ValueError: If their shapes differ or ``epsilon`` is not positive.
     """
-    return _mean(kernels.relative_squared, image, target, _positive("epsilon", epsilon))
+    return _mean(kernels.relative_squared, image, target, weights, _positive("epsilon", epsilon))
 
 
 def eikonal(grid: wp.array, lengths: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> wp.array:
@@ -184,29 +194,47 @@ def _grid_mean(which: int, less: int, grid: wp.array, lengths: tuple[float, floa
     return _mean_of(terms, 1.0 / terms.size)
 
 
-def _mean(term: wp.Function, image: wp.array, target: wp.array | np.ndarray, parameter: float = 0.0) -> wp.array:
-    if not isinstance(image, wp.array) or image.ndim not in (2, 3) or image.dtype != wp.vec3:
+def _mean(
+    term: wp.Function, image: wp.array, target: wp.array | np.ndarray, weights: Weights, parameter: float = 0.0
+) -> wp.array:
+    if not isinstance(image, wp.array) or image.ndim not in (2, 3) or image.dtype not in (wp.vec3, wp.float32):
         raise TypeError(
-            f"image: got {_describe(image)}, expected wp.array2d[vec3] of shape (H, W), or (H, W, bins) of a transient "
-            "film, as render returns it"
+            f"image: got {_describe(image)}, expected wp.array2d[vec3] of shape (H, W), (B, H, W) of several sensors, "
+            "or (H, W, bins) of a transient film, as render returns it, or an array of float32 of render_aov"
         )
+    channels = CHANNELS if image.dtype == wp.vec3 else 1
     target = _as_image(target, image)
+    weight, total = _as_weights(weights, image)
+    rows, columns = image.shape[0], image.size // image.shape[0]
     if image.ndim == 3:
-        flat = (image.shape[0], image.shape[1] * image.shape[2])
-        image, target = image.reshape(flat), target.reshape(flat)
-    height, width = image.shape
-    differentiable = bool(image.requires_grad)
-    terms = wp.empty((height, width), dtype=wp.float32, device=image.device, requires_grad=differentiable)
-    terms_kernel = kernels.make_terms(term)
+        image, target, weight = (array.reshape((rows, columns)) for array in (image, target, weight))
+    terms = wp.empty((rows, columns), dtype=wp.float32, device=image.device, requires_grad=bool(image.requires_grad))
+    terms_kernel = kernels.make_terms(term, channels)
     compiler.ensure([terms_kernel, kernels.make_sums()[0]], image.device)
     wp.launch(
         terms_kernel,
-        dim=(height, width),
-        inputs=[image, target, parameter],
+        dim=terms.shape,
+        inputs=[image, target, weight, parameter],
         outputs=[terms],
         device=image.device,
     )
-    return _mean_of(terms, 1.0 / (height * width * CHANNELS))
+    return _mean_of(terms, 1.0 / (total * channels))
+
+
+def _as_weights(weights: Weights, image: wp.array) -> tuple[wp.array, float]:
+    """Return the pixels' weights in the shape of the image, and their sum."""
+    if weights is None:
+        return wp.ones(image.shape, dtype=wp.float32, device=image.device), float(image.size)
+    values = np.asarray(weights.numpy() if isinstance(weights, wp.array) else weights)
+    if values.dtype.kind not in "fiub":
+        raise TypeError(f"weights: got {_describe(weights)}, expected an array of numbers of shape {image.shape}")
+    values = values.astype(np.float32)
+    if values.shape != image.shape:
+        raise ValueError(f"weights: got shape {values.shape}, expected a number a pixel, {image.shape}")
+    total = float(values.sum(dtype=np.float64))
+    if not (np.isfinite(values).all() and values.min() >= 0.0 and total > 0.0):
+        raise ValueError("weights: expected finite numbers that are not negative, some of them positive")
+    return wp.array(values, dtype=wp.float32, device=image.device), total
 
 
 def _mean_of(terms: wp.array, scale: float) -> wp.array:
@@ -222,22 +250,25 @@ def _mean_of(terms: wp.array, scale: float) -> wp.array:
 
 def _as_image(target: wp.array | np.ndarray, image: wp.array) -> wp.array:
     """Return ``target`` as a Warp image on the device of ``image`` and of its shape, which has no gradient."""
-    shape = (*image.shape, CHANNELS)
+    kind = image.dtype
+    shape = (*image.shape, CHANNELS) if kind == wp.vec3 else image.shape
     if isinstance(target, wp.array):
-        if target.dtype != wp.vec3 or target.ndim != image.ndim:
-            raise TypeError(f"target: got {_describe(target)}, expected an array of vec3 or a NumPy array {shape}")
+        if target.dtype != kind or target.ndim != image.ndim:
+            raise TypeError(
+                f"target: got {_describe(target)}, expected an array of {kind.__name__} or a NumPy array {shape}"
+            )
         if target.shape != image.shape:
             raise ValueError(
                 f"target: got shape {target.shape}, expected the image's {image.shape}; resize one of them"
             )
         there: Any = target.to(image.device)
-        return wp.array(there, dtype=wp.vec3, copy=False, requires_grad=False) if there.requires_grad else there
+        return wp.array(there, dtype=kind, copy=False, requires_grad=False) if there.requires_grad else there
     values = np.asarray(target)
     if values.dtype.kind not in "fiu":
         raise TypeError(f"target: got {_describe(target)}, expected wp.array2d[vec3] or a NumPy array {shape}")
     if values.shape != shape:
         raise ValueError(f"target: got shape {values.shape}, expected {shape}; resize it or drop its alpha channel")
-    return wp.array(np.ascontiguousarray(values, dtype=np.float32), dtype=wp.vec3, device=image.device)
+    return wp.array(np.ascontiguousarray(values, dtype=np.float32), dtype=kind, device=image.device)
 
 
 def _positive(name: str, value: float) -> float:

@@ -121,11 +121,12 @@ def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
     Not beside light paths, which leave the camera's few surfaces. Nor in media, which paths collide in at random. Nor
-    where shadow rays pass surfaces beside shapes without triangles.
+    where shadow rays pass surfaces beside shapes without triangles. Properties of surfaces are no paths.
     """
     if config.media is not None or (config.through and config.primitives):
         return False
-    return config.ray_backend == "wide" and not (config.noted or config.delta_first or config.connections)
+    alone = config.noted or config.delta_first or config.connections or config.shown
+    return config.ray_backend == "wide" and not alone
 
 
 @functools.cache

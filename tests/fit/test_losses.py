@@ -113,7 +113,8 @@ def test_kernels_before_the_loss_chain() -> None:
     ("image", "target", "error", "message"),
     [
         (np.zeros((4, 4, 3)), np.zeros((4, 4, 3)), TypeError, "image: got NumPy array"),
-        ("scalar", np.zeros((4, 4, 3)), TypeError, "image: got wp.array of float32"),
+        ("numbers", np.zeros((4, 4)), TypeError, "image: got wp.array of int32"),
+        ("scalar", np.zeros((4, 4, 3)), ValueError, r"target: got shape \(4, 4, 3\), expected \(4, 4\)"),
         ("image", np.zeros((4, 5, 3)), ValueError, r"target: got shape \(4, 5, 3\), expected \(4, 4, 3\)"),
         ("image", np.zeros((4, 4, 4)), ValueError, "alpha channel"),
         ("image", "smaller", ValueError, r"target: got shape \(2, 2\)"),
@@ -126,10 +127,46 @@ def test_what_is_no_image_is_named(image, target, error: type[Exception], messag
         "image": lambda: wp.zeros((4, 4), dtype=wp.vec3, device="cpu"),
         "smaller": lambda: wp.zeros((2, 2), dtype=wp.vec3, device="cpu"),
         "scalar": lambda: wp.zeros((4, 4), dtype=wp.float32, device="cpu"),
+        "numbers": lambda: wp.zeros((4, 4), dtype=wp.int32, device="cpu"),
     }
     image, target = (made[x]() if isinstance(x, str) else x for x in (image, target))
     with pytest.raises(error, match=message):
         losses.l2(image, target)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_weights_of_pixels(channels: int) -> None:
+    """A weighted mean, of images, and of masks or depths."""
+    a, b = images()
+    a, b, dtype = (a, b, wp.vec3) if channels == 3 else (a[..., 0], b[..., 0], wp.float32)
+    weights = np.random.default_rng(2).random(a.shape[:2]).astype(np.float32)
+    weights[:3] = 0.0
+    image = wp.array(np.ascontiguousarray(a), dtype=dtype, requires_grad=True, device="cpu")
+    with wp.Tape() as tape:
+        result = losses.l2(image, np.ascontiguousarray(b), weights=weights)
+    tape.backward(result)
+    w = weights.astype(np.float64) if channels == 1 else weights.astype(np.float64)[..., None]
+    d, total = a.astype(np.float64) - b, weights.sum(dtype=np.float64) * channels
+    np.testing.assert_allclose(result.numpy()[0], (w * d * d).sum() / total, rtol=ROUNDING)
+    np.testing.assert_allclose(image.grad.numpy(), 2 * w * d / total, rtol=ROUNDING, atol=1e-9)
+    assert image.grad.numpy().any() and not image.grad.numpy()[:3].any()
+
+
+@pytest.mark.parametrize(
+    ("weights", "error", "message"),
+    [
+        (np.ones((4, 5)), ValueError, r"weights: got shape \(4, 5\), expected a number a pixel, \(4, 4\)"),
+        (np.ones((4, 4, 3)), ValueError, r"weights: got shape"),
+        (np.zeros((4, 4)), ValueError, "some of them positive"),
+        (-np.ones((4, 4)), ValueError, "not negative"),
+        (np.full((4, 4), np.nan), ValueError, "finite"),
+        (np.full((4, 4), "1"), TypeError, "weights: got NumPy array"),
+    ],
+)
+def test_what_are_no_weights_is_named(weights, error: type[Exception], message: str) -> None:
+    image = wp.zeros((4, 4), dtype=wp.vec3, device="cpu")
+    with pytest.raises(error, match=message):
+        losses.l1(image, image, weights=weights)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

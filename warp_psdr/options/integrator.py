@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
+from warp_psdr.kernels.property import PROPERTIES
 from warp_psdr.options import boundary as boundary_methods
 from warp_psdr.options import interior as interior_methods
 
@@ -35,6 +36,7 @@ class PathIntegrator:
         boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
             gradient of a scene on if a pilot says that it pays; None: left out on purpose (the gradient then misses
             moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both methods.
+        shown: set by ``AovIntegrator``.
     """
 
     max_depth: int = -1
@@ -44,6 +46,7 @@ class PathIntegrator:
     interior: interior_methods.Method | Literal["auto"] = "auto"
     boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
     caustics: bool | Literal["auto"] = "auto"
+    shown: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         """Validate once.
@@ -82,5 +85,47 @@ class PathIntegrator:
             )
 
 
+@dataclass(frozen=True, kw_only=True)
+class AovIntegrator:
+    """What the camera sees first, as an image with derivatives: for losses on masks, depths, places and normals.
+
+    The three channels are those of the property; a mask and a depth have three equal ones.
+
+    Attributes:
+        aov: "mask": share of the pixel that sees a surface; "depth": distance from the near clip plane along the ray,
+            world units; "position": world units; "sh_normal": shading normal, unit, turned by ``flip_normals``. All are
+            averaged under the pixel filter, and 0 where the camera sees nothing, as of ``psdr.render_aov``.
+        boundary: method of the boundary term: "auto", ``PathSpace()``, ``EdgeSampling()``, or None.
+        sampler: as of ``PathIntegrator``.
+    """
+
+    aov: Literal["mask", "depth", "position", "sh_normal"]
+    boundary: boundary_methods.Method | Literal["auto"] | None = "auto"
+    sampler: Literal["auto", "sobol", "independent"] = "auto"
+
+    def __post_init__(self) -> None:
+        """Validate once.
+
+        Raises:
+            ValueError: a value out of range.
+        """
+        if self.aov not in PROPERTIES:
+            raise ValueError(f"aov: got {self.aov!r}, expected one of {', '.join(map(repr, PROPERTIES))}")
+        takes = (boundary_methods.PathSpace, boundary_methods.EdgeSampling)
+        if not isinstance(self.boundary, takes) and self.boundary not in ("auto", None):
+            raise ValueError(
+                f"boundary: got {self.boundary!r}, expected psdr.boundary.PathSpace(), EdgeSampling(), 'auto' or None"
+            )
+
+    def as_path(self) -> PathIntegrator:
+        """Return the paths of one vertex that show it."""
+        # Nothing is guided: the camera sees all edges.
+        boundary = boundary_methods.PathSpace() if self.boundary == "auto" else self.boundary
+        return PathIntegrator(
+            max_depth=1, sampler=self.sampler, interior=interior_methods.Replay(), boundary=boundary, caustics=False,
+            shown=self.aov,
+        )  # fmt: skip
+
+
 #: What functions take for an integrator: an object, Mitsuba's dictionary or plugin name, or None: the scene file's.
-Integrator = PathIntegrator | dict | str
+Integrator = PathIntegrator | AovIntegrator | dict | str

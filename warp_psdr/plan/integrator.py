@@ -5,7 +5,7 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING
 
-from warp_psdr.options.integrator import Integrator, PathIntegrator
+from warp_psdr.options.integrator import AovIntegrator, Integrator, PathIntegrator
 from warp_psdr.options.interior import LightTracing
 from warp_psdr.scene.dictionary import describe_integrator
 from warp_psdr.scene.load import SceneWarning
@@ -26,13 +26,15 @@ def integrator_of(scene: Scene, integrator: Integrator | None) -> PathIntegrator
     """
     if integrator is None:
         return from_description(scene.description.integrator)
+    if isinstance(integrator, AovIntegrator):
+        return integrator.as_path()
     if isinstance(integrator, PathIntegrator):
         return integrator
     if isinstance(integrator, str):
         integrator = {"type": integrator}
     if not isinstance(integrator, dict):
         raise TypeError(
-            f"integrator: got {integrator!r}, expected a psdr.PathIntegrator, a dictionary such as "
+            f"integrator: got {integrator!r}, expected a psdr.PathIntegrator or AovIntegrator, a dictionary such as "
             "{'type': 'path', 'max_depth': 4}, or 'path'"
         )
     described, notes = describe_integrator(integrator)

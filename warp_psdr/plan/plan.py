@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, primitives, reparametrised, transient
+from warp_psdr.plan import choice, guiding, media, primitives, properties, reparametrised, transient
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
@@ -128,6 +128,7 @@ def decide(
     media.refuse(scene, config, method, wanted, names)
     transient.refuse(scene, config, integrator, method, wanted, names, sensor)
     refuse_own_shape(scene, sensor, names)
+    properties.refuse(scene, config, names, sensor)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
     if wanted is not None:
@@ -151,7 +152,7 @@ def decide(
         said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", "vertices move")
         lines.append(("shadow rays", *said))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
-    if still and config.smooth and scene.shades_flat:
+    if still and not config.shown and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
     if wanted is not None and isinstance(method, interior.Replay) and method.flow == "normal":
@@ -271,7 +272,10 @@ def _named(scene: Scene, params: Parameters | None, names: list[str] | None) -> 
 def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) -> PathConfig:
     b = scene.builder
     camera = scene.camera(sensor)
-    scatter = integrator.max_depth != 1 or bool(b.media)  # surfaces that are not there are met at depth 1 too
+    if integrator.shown:
+        lines.append(("image", integrator.shown, "what the camera sees first; no light is traced"))
+    among_media = bool(b.media) and not integrator.shown
+    scatter = integrator.max_depth != 1 or among_media  # surfaces that are not there are met at depth 1 too
     models = (b.models if scatter else ()) or ("diffuse",)
     kinds = {e.kind for e in b.emitters}
     lights = tuple(sorted(kinds - {c.EMITTER_AREA}))
@@ -332,10 +336,11 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         ray_width=scene.accelerator.width,
         camera=camera.kind,
         through=scatter and has_null_lobes(models),
-        media=b.media_config,
+        media=None if integrator.shown else b.media_config,
         primitives=primitives.kinds(scene),
         shining=primitives.shining(scene),
         pulse=transient.pulse_of(times),
+        shown=integrator.shown,
     )
 
 

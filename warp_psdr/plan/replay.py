@@ -11,6 +11,7 @@ from warp_psdr.kernels.interior.forward import make_forward_kernel
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_motion_replay import make_media_motion_kernel
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
+from warp_psdr.kernels.interior.property import make_property_kernel
 from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.time_gated import make_time_gated_kernel
 from warp_psdr.kernels.medium.coefficients import POSE
@@ -106,6 +107,8 @@ def moved_request(wanted: GradientRequest) -> GradientRequest:
 
 def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
     """Return the kernel of record and sweep."""
+    if config.shown:
+        return make_property_kernel(config, wanted, role)
     if config.media is not None and media.moves(wanted):
         return make_media_motion_kernel(config, moved_request(wanted), role, kept.block, kept.longest)
     if config.media is not None:

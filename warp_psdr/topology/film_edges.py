@@ -94,7 +94,13 @@ class FilmEdges:
 
 
 def film_edges(
-    scene: Scene, sensor: int, shapes: set[int], *, camera_moves: bool, hide_emitters: bool = False
+    scene: Scene,
+    sensor: int,
+    shapes: set[int],
+    *,
+    camera_moves: bool,
+    hide_emitters: bool = False,
+    lit_apart: bool = True,
 ) -> FilmEdges:
     """Return the edges that jump on the film and move; kept until the scene or the camera moves.
 
@@ -107,10 +113,19 @@ def film_edges(
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
         hide_emitters: the camera sees through area lights.
+        lit_apart: creases between flat faces are apart from other edges, by the light that they receive.
     """
     every = scene_adjacency(scene)
     view = camera_view(scene, sensor)
-    key = (sensor, frozenset(shapes), camera_moves, hide_emitters, *_brushed_texcoords(scene), *view.numbers())
+    key = (
+        sensor,
+        frozenset(shapes),
+        camera_moves,
+        hide_emitters,
+        lit_apart,
+        *_brushed_texcoords(scene),
+        *view.numbers(),
+    )
     kept: FilmEdges | None = getattr(scene, "_film_edges", None)
     if kept is not None and kept.every is every and kept.key == key:
         return kept
@@ -121,7 +136,7 @@ def film_edges(
     jumps = _jumps(scene, view, edges, asked)
     usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
     creases = _seen(view, edges, usable)
-    lit = _facets(scene, view, edges, jumps) & (not scene.builder.media)
+    lit = _facets(scene, view, edges, jumps) & (lit_apart and not scene.builder.media)
     others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = flat_creases.length * _sine(edges, flat_creases.keep)
     weight = np.where(_hidden(scene, view, edges, flat_creases.keep), HIDDEN * weight, weight)

@@ -38,6 +38,7 @@ from warp_psdr.kernels.medium.line import BEFORE, make_line
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at, triangle_or_none
 from warp_psdr.kernels.primitive.dispatch import make_normal_at
+from warp_psdr.kernels.property import make_beside_edge
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
@@ -68,6 +69,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     incident_radiance = None if among_media else make_incident_radiance(config)
     normal_at = make_normal_at(config.primitives)
     find, accumulate, accumulate_side = make_film_edge(config, role, camera_moves)
+    _own, behind = make_beside_edge(config)
     has_delta_lights = bool(DELTA_LIGHTS & set(config.lights)) and not among_media
     lit_along = make_lit_along(config) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
@@ -246,6 +248,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 seen = media_radiance(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
             else:
                 seen = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            if wp.static(bool(config.shown)):
+                seen.radiance = behind(seen.radiance, seen.face, distance - ahead - at.near)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
                 met = seen.face

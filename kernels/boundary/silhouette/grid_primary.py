@@ -42,6 +42,7 @@ from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.primitive.sdfgrid import grid_of, pack
+from warp_psdr.kernels.property import make_beside_edge
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
@@ -64,6 +65,7 @@ def make_primary_grid_kernel(
     curvature_of = spline_curvature if cubic else touch_curvature
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
+    own, behind = make_beside_edge(config)
     visibility = visibility_of(config)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
@@ -183,6 +185,9 @@ def make_primary_grid_kernel(
         if wp.static(shading):
             if outside.face != point.face:
                 return
+        if wp.static(bool(config.shown)):
+            inside.radiance = own(point.x, distance - at.near)
+            outside.radiance = behind(outside.radiance, outside.face, distance - ahead - at.near)
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
         scale = wp.float32(count) / (point.density * wp.float32(job.samples))

@@ -32,6 +32,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.property import make_beside_edge
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import lens_origin, load_mat44, make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
@@ -74,6 +75,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     accumulate_silhouette = make_silhouette_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
+    own, behind = make_beside_edge(config)
     visibility = visibility_of(config)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
@@ -211,6 +213,9 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
         if both and outside.face != item.neighbours[0]:
             return  # it passes the wall's silhouette, which counts that jump
+        if wp.static(bool(config.shown)):
+            inside.radiance = own(point.x, distance - at.near)
+            outside.radiance = behind(outside.radiance, outside.face, distance - ahead - at.near)
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
         scale = wp.float32(outlines.shape[0]) / wp.float32(job.samples)

@@ -35,6 +35,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.property import make_beside_edge
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
@@ -48,6 +49,7 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
     accumulate_tube = make_tube_sink(role, config.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
+    own, behind = make_beside_edge(config)
     hidden = make_hidden(config)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
@@ -138,6 +140,9 @@ def make_primary_tube_kernel(config: PathConfig, role: str, camera_moves: bool):
         if crease:
             if outside.face != face or wp.dot(outside.x - point.x, d) >= ahead:
                 return
+        if wp.static(bool(config.shown)):
+            inside.radiance = own(point.x, distance - at.near)
+            outside.radiance = behind(outside.radiance, outside.face, distance - ahead - at.near)
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
         scale = point.choices / (chance * wp.float32(job.samples))

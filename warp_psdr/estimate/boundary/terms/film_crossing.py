@@ -9,8 +9,11 @@ from warp_psdr.topology.crossings import crossings
 
 
 def applies(r: Request) -> bool:
-    """Whether there are such shapes, and they, what runs through them, or the camera move."""
-    return bool(r.config.primitives) and bool(r.moves.shapes or r.moves.camera)
+    """Whether there are such shapes, and they, what runs through them, or the camera move.
+
+    Properties do not jump there: both surfaces pass through the point, and normals are those of meshes.
+    """
+    return not r.config.shown and bool(r.config.primitives) and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

@@ -212,7 +212,14 @@ def term_of(
 def film_edges_of(r: Request) -> FilmEdges:
     """Return the edges that the camera may see move."""
     shapes = set(r.moves.shapes)
-    return film_edges(r.scene, r.sensor, shapes, camera_moves=r.view_moves, hide_emitters=r.config.hidden)
+    return film_edges(
+        r.scene,
+        r.sensor,
+        shapes,
+        camera_moves=r.view_moves,
+        hide_emitters=r.config.hidden,
+        lit_apart=not r.config.shown,
+    )
 
 
 def curves_of(r: Request, *, camera_moves: bool) -> Adjacency:

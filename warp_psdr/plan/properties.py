@@ -1,0 +1,43 @@
+"""What images of properties (``psdr.AovIntegrator``) have no derivatives of."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warp_psdr.plan.transient import require_steady
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.scene.scene import Scene
+
+#: Parameters of cameras that change how far the near clip plane is along a ray.
+_TURNS_RAYS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
+
+
+def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> None:
+    """Raise for a property and a request that do not go together.
+
+    Raises:
+        ValueError: with what does.
+    """
+    if not config.shown:
+        return
+    require_steady(scene, sensor, "psdr.AovIntegrator")
+    if config.shown == "position" and scene.origin.any():
+        raise ValueError(
+            "AovIntegrator('position'): the scene is far from the origin of the world, where float32 keeps no digits "
+            "of positions; take 'depth', or move the scene to the origin"
+        )
+    if not names:
+        return
+    if config.shown == "sh_normal" and config.primitives:
+        raise ValueError(
+            "AovIntegrator('sh_normal'): derivatives of normals are those of meshes; leave out 'exact', or take "
+            "'mask', 'depth' or 'position', which shapes without triangles have, too"
+        )
+    turns = [name for name in names if name.rpartition(".")[2] in _TURNS_RAYS]
+    if config.shown == "depth" and turns:
+        raise ValueError(
+            f"AovIntegrator('depth'): {turns[0]} moves the near clip plane along the rays, of which depth has no "
+            "derivative; take 'position'"
+        )
