@@ -1,7 +1,8 @@
-"""glTF files without what is not read, their sizes checked, for trimesh's reader.
+"""glTF files without what is not read, their sizes checked and their buffers found, for trimesh's reader.
 
 That reader makes every array that an accessor declares, whether data follow or not, places a mesh as often as nodes
-name it, and decodes pictures of materials. glTF 2.0, sections 3.6.2 (accessors) and 4.4 (binary files).
+name it, decodes pictures of materials, and in some versions follows URIs to any file of the machine. glTF 2.0, sections
+3.6.1.2 (URIs of buffers), 3.6.2 (accessors) and 4.4 (binary files).
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 #: Numbers of all accessors, and of all placed meshes: 2 GB as float32.
 _NUMBERS_MAX = 1 << 29
@@ -21,23 +24,51 @@ _MAGIC, _JSON = b"glTF", b"JSON"
 _HEAD = struct.Struct("<4sIII4s")
 
 
-def geometry_only(file: Path) -> io.BytesIO:
-    """Return a ``.gltf`` or ``.glb`` file without pictures.
+def geometry_only(file: Path, find: Callable[[str], Path]) -> tuple[io.BytesIO, dict[str, bytes]]:
+    """Return a ``.gltf`` or ``.glb`` file without pictures, and the files that its buffers name, by URI.
+
+    Args:
+        file: An existing file.
+        find: Returns the existing file that a name stands for, or raises.
 
     Raises:
-        ValueError: If the file is malformed, or asks for more memory than geometry can take.
+        ValueError: If the file is malformed, asks for more memory than geometry can take, or names a file that may not
+            be read.
+        FileNotFoundError: If there is no file of a buffer.
     """
     data = file.read_bytes()
     if file.suffix.lower() != ".glb":
-        return io.BytesIO(json.dumps(_geometry(json.loads(data))).encode())
+        tree = _geometry(json.loads(data))
+        return io.BytesIO(json.dumps(tree).encode()), _beside(tree, find)
     magic, version, _, length, kind = _HEAD.unpack_from(data)
     if magic != _MAGIC or kind != _JSON:
         raise ValueError("it does not start as binary glTF does")
     rest = data[_HEAD.size + length :]
-    text = json.dumps(_geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))).encode()
+    tree = _geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))
+    text = json.dumps(tree).encode()
     text += b" " * (-len(text) % 4)
     total = _HEAD.size + len(text) + len(rest)
-    return io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
+    stream = io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
+    return stream, _beside(tree, find)
+
+
+def _beside(tree: dict, find: Callable[[str], Path]) -> dict[str, bytes]:
+    """Return the contents of the files that buffers name, by URI; each file is read once, however often it is named."""
+    found: dict[str, bytes] = {}
+    read: dict[Path, bytes] = {}
+    for buffer in tree.get("buffers", []):
+        uri = buffer.get("uri")
+        if uri is None or uri in found:
+            continue
+        if uri.startswith("data:"):
+            if ";base64," not in uri:
+                raise ValueError("a buffer's data URI is not in base64")
+            continue  # part of the file itself
+        file = find(unquote(uri)).resolve()
+        if file not in read:
+            read[file] = file.read_bytes()
+        found[uri] = read[file]
+    return found
 
 
 def _geometry(tree: Any) -> dict:

@@ -11,7 +11,7 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from .errors import error
+from .errors import SceneError, error
 from .meshes import MeshData, fans, vertex_normals
 from .obj_files import read_obj
 from .ply_files import read_text_ply
@@ -25,7 +25,7 @@ _COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2,
 _REEXPORT = "export the mesh again"
 
 
-def read_mesh(kind: str, file: Path, where: str, note: Any, index: int = 0) -> MeshData:
+def read_mesh(kind: str, file: Path, where: str, note: Any, find: Callable[[str], Path], index: int = 0) -> MeshData:
     """Read a mesh file; texture coordinates are as the file has them.
 
     Args:
@@ -33,15 +33,19 @@ def read_mesh(kind: str, file: Path, where: str, note: Any, index: int = 0) -> M
         file: An existing file.
         where: Place in the scene, for messages.
         note: Called with remarks for the user.
+        find: Returns the existing file that a name in the file stands for, or raises.
         index: Number of the mesh in the file ("serialized").
 
     Raises:
-        ValueError: If the file cannot be read.
+        ValueError: If the file, or one that it names, cannot be read.
+        FileNotFoundError: If a file that it names does not exist.
     """
-    readers = {"obj": read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
+    readers = {"obj": read_obj, "ply": _read_ply}
     place = f"{where}, file '{file}'"
     if kind == "serialized":
         return read_serialized(file, index, place, note)
+    if kind in ("gltf", "glb"):
+        return _read_gltf(file, place, note, find)
     if kind in readers:
         return readers[kind](file, place, note)
     from trimesh.exchange import off, stl
@@ -60,6 +64,8 @@ def _guarded(load: Callable[[BinaryIO], T], file: Path, place: str) -> T:
         # NaN among whole numbers is an error; too large numbers become infinite, which the checks report.
         with file.open("rb") as stream, np.errstate(over="ignore", invalid="raise"):
             return load(stream)
+    except (SceneError, FileNotFoundError):  # of a file that this one names
+        raise
     except Exception as problem:
         reason = str(problem) or type(problem).__name__
         raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
@@ -159,17 +165,17 @@ def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
         return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
 
 
-def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
+def _read_gltf(file: Path, place: str, note: Any, find: Callable[[str], Path]) -> MeshData:
     """Read all meshes of a glTF file, placed by its nodes and joined; materials are left out."""
     from trimesh.exchange import gltf
-    from trimesh.resolvers import FilePathResolver
     from trimesh.scene.transforms import SceneGraph
 
     from .gltf_files import geometry_only
 
     def load(stream: BinaryIO) -> MeshData:
         read = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
-        values = read(geometry_only(file), resolver=FilePathResolver(str(file)))
+        tree, buffers = geometry_only(file, find)
+        values = read(tree, resolver=buffers)
         graph = SceneGraph(base_frame=values.get("base_frame", "world"))
         for edge in values.get("graph", ()):
             graph.update(**edge)

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import bsdfs, emitters, media, sensors
+from .context import FileName
 from .curves import INSTEAD as TUBES
 from .curves import curve_shape, is_curves, take_curves
 from .description import Curves, EmitterDescription, Network, SdfGrid, ShapeDescription
@@ -24,6 +25,8 @@ from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from .context import Context
 
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
@@ -162,7 +165,12 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
     file = props.context.file(name, props.place("filename"))
     index = props.integer("shape_index", 0, minimum=0) if props.type == "serialized" else 0
-    data = read_mesh(props.type, file, props.where, props.context.note, index)
+    place = f"{props.where}, file '{file}'"
+
+    def find(other: str) -> Path:
+        return props.context.file(FileName(other, file.parent), place)
+
+    data = read_mesh(props.type, file, props.where, props.context.note, find, index)
     props.context.count(data.vertices.size + data.faces.size, props.where)
     # Only serialized meshes have no such parameter.
     if (
@@ -171,7 +179,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         and data.texcoords is not None
     ):
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
-    return data, to_world, f"{props.where}, file '{file}'"
+    return data, to_world, place
 
 
 def _local_frame(props: Properties) -> np.ndarray:
