@@ -15,7 +15,7 @@ import pytest
 import warp_psdr as psdr
 from tests.fit.scenes import SKY, TEXTURE, TRUTH, write_fit
 from warp_psdr import image_io, plots
-from warp_psdr.fit import checkpoint
+from warp_psdr.fit import checkpoint, run
 from warp_psdr.fit import report as fit_report
 from warp_psdr.fit.run import CHECKPOINT, FitConfig, Unknown, _step, fit, views_of_step
 from warp_psdr.view import viewer
@@ -168,6 +168,20 @@ def test_existing_checkpoint_is_not_overwritten_by_accident(config: FitConfig) -
     with pytest.raises(ValueError, match=r"checkpoint\.npz exists: resume it"):
         fit(config, iterations=1)
     assert len(fit(config, iterations=2, overwrite=True).losses) == 2
+
+
+def test_a_run_that_ends_while_another_starts_keeps_its_results(config: FitConfig, monkeypatch) -> None:
+    load = run.load_problem
+
+    def loads_while_another_ends(config: FitConfig) -> run.Problem:
+        config.output.mkdir()
+        (config.output / CHECKPOINT).write_bytes(b"of another run")
+        return load(config)
+
+    monkeypatch.setattr(run, "load_problem", loads_while_another_ends)
+    with pytest.raises(ValueError, match=r"checkpoint\.npz exists: resume it"):
+        fit(config, iterations=1)
+    assert (config.output / CHECKPOINT).read_bytes() == b"of another run"
 
 
 def test_resume_without_checkpoint_starts_at_the_beginning(config: FitConfig) -> None:

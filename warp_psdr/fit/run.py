@@ -161,8 +161,8 @@ def fit(
     if iterations is not None:
         config = replace(config, iterations=iterations)
     path = config.output / CHECKPOINT
-    if path.exists() and not (resume or overwrite):
-        raise ValueError(f"{path} exists: resume it (--resume), start again (--overwrite), or choose another output")
+    may_exist = resume or overwrite
+    _require_free(path, may_exist)
     problem = load_problem(config)
     adam = optim.Adam(
         problem.params,
@@ -172,7 +172,14 @@ def fit(
     )
     config.output.mkdir(parents=True, exist_ok=True)
     with held(config.output):
+        _require_free(path, may_exist)  # a run may have ended there since
         return _fit(problem, adam, path, resume=resume)
+
+
+def _require_free(path: Path, may_exist: bool) -> None:
+    """Raise if there is a checkpoint that nobody wants to continue, or to lose."""
+    if path.exists() and not may_exist:
+        raise ValueError(f"{path} exists: resume it (--resume), start again (--overwrite), or choose another output")
 
 
 def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> FitResult:
