@@ -223,6 +223,16 @@ def test_checkpoint_of_other_files_of_the_scene_is_refused(config: FitConfig) ->
         fit(config, resume=True)
 
 
+@pytest.mark.parametrize("value", [7.0, -0.1, np.nan])
+def test_checkpoint_with_values_out_of_bounds_is_refused(config: FitConfig, value: float) -> None:
+    fit(config, iterations=1)
+    arrays, values = checkpoint.load(config.output / CHECKPOINT)
+    arrays[f"parameter/{TEXTURE}"][0, 0, 0] = value
+    checkpoint.save(config.output / CHECKPOINT, arrays, values)
+    with pytest.raises(ValueError, match=rf"{TEXTURE}' has values from .* expected them in \[0, 1\]; start again"):
+        fit(config, resume=True)
+
+
 def test_finished_run_is_not_shortened(config: FitConfig) -> None:
     fit(config, iterations=2)
     with pytest.raises(ValueError, match="at most 1 iterations"):

@@ -396,7 +396,12 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
             raise ValueError(f"the losses have shape {losses.shape}, or are not finite")
         history = losses.tolist()
         for name in problem.config.parameters:
-            problem.params[name] = arrays[f"parameter/{name}"].astype(np.float32)
+            found = arrays[f"parameter/{name}"].astype(np.float32)
+            low, high = problem.params.bounds(name)
+            if not ((found >= low) & (found <= high)).all():
+                ends = f"from {found.min():.4g} to {found.max():.4g}"
+                raise ValueError(f"{name!r} has values {ends}, expected them in [{low:g}, {high:g}]")
+            problem.params[name] = found
             if problem.scene.origin.any():
                 stored = arrays[f"stored/{name}"]
                 if stored.shape != problem.stored(name).shape or not np.isfinite(stored).all():
