@@ -239,6 +239,17 @@ def test_finished_run_is_not_shortened(config: FitConfig) -> None:
         fit(config, iterations=1, resume=True)
 
 
+def test_transparent_targets_are_refused(tmp_path: Path) -> None:
+    image = np.full((4, 5, 4), 0.5, np.float32)
+    image[..., 3] = 1.0
+    image_io.write_image(tmp_path / "a.png", image)
+    np.testing.assert_allclose(run.read_target(tmp_path / "a.png", (4, 5)), 0.5, atol=0.01)  # opaque: nothing is lost
+    image[1, 2:, 3] = 0.0
+    image_io.write_image(tmp_path / "a.png", image)
+    with pytest.raises(ValueError, match=r"a.png: 3 pixels are transparent .* write the target without alpha"):
+        run.read_target(tmp_path / "a.png", (4, 5))
+
+
 def test_views_take_turns() -> None:
     config = FitConfig(
         scene="s.xml", targets=["a.exr"] * 5, output="o", parameters={"a": {"lr": 1}}, views_per_step=2, seed=4

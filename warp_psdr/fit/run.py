@@ -316,7 +316,13 @@ def read_target(file: Path, shape: tuple[int, int]) -> np.ndarray:
     if image.shape[:2] != shape:
         height, width = image.shape[:2]
         raise ValueError(f"target {file}: got {width} x {height} pixels, expected the film's {shape[1]} x {shape[0]}")
-    # Grey, or colour, either with or without alpha, which is dropped.
+    if image.shape[2] in (2, 4) and (image[..., -1] < 1.0).any():
+        raise ValueError(
+            f"target {file}: {int((image[..., -1] < 1.0).sum())} pixels are transparent (alpha below 1), and a fit "
+            "compares all of them; put the background behind them, image[..., :3] * alpha + background * (1 - alpha), "
+            "and write the target without alpha"
+        )
+    # Grey, or colour, either with or without alpha.
     image = np.broadcast_to(image[..., :1], (*shape, 3)) if image.shape[2] <= 2 else image[..., :3]
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).any(axis=-1).sum())

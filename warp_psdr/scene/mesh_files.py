@@ -40,14 +40,15 @@ def read_mesh(kind: str, file: Path, where: str, note: Any, find: Callable[[str]
         ValueError: If the file, or one that it names, cannot be read.
         FileNotFoundError: If a file that it names does not exist.
     """
-    readers = {"obj": read_obj, "ply": _read_ply}
     place = f"{where}, file '{file}'"
     if kind == "serialized":
         return read_serialized(file, index, place, note)
     if kind in ("gltf", "glb"):
         return _read_gltf(file, place, note, find)
-    if kind in readers:
-        return readers[kind](file, place, note)
+    if kind == "obj":
+        return read_obj(file, place, find)
+    if kind == "ply":
+        return _read_ply(file, place, note)
     from trimesh.exchange import off, stl
 
     def load(stream: BinaryIO) -> MeshData:

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
 _FLIP_TEX_COORDS = ("obj", "gltf", "glb")
+#: Letters of a file's name in a remark.
+_NAME_MAX = 200
 
 
 def build(node: dict, where: str, path: str, context: Context) -> ShapeDescription:
@@ -56,6 +58,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
     emitter = _light(props, lights)
+    if geometry is not None and isinstance(geometry[0], MeshData):
+        _note_pictures(props, geometry[0], bsdf)
     sides = media.take_sides(props, bsdf)
     meter = None
     if meters:
@@ -273,6 +277,18 @@ def _bsdf(props: Properties, *, shines: bool) -> bsdfs.BsdfDescription:
     return props.context.attempt(
         lambda: bsdfs.build(node, where, f"{props.path}.bsdf", props.context, shared=shared), plain
     )
+
+
+def _note_pictures(props: Properties, data: MeshData, bsdf: bsdfs.BsdfDescription) -> None:
+    """Note that the pictures of a file's own materials are left out, unless the shape has one of its own."""
+    leaves = [leaf for side in bsdf.sides for texture in side.textures.values() for leaf in texture.leaves]
+    if data.pictures and all(leaf.kind != "bitmap" for leaf in leaves):
+        first = data.pictures[0][:_NAME_MAX]
+        props.context.note(
+            f"{props.where}: the materials of the mesh are ignored, and with them pictures such as "
+            f"'{first}' (map_Kd); name it in the shape's bsdf, {{'type': 'diffuse', 'reflectance': {{'type': 'bitmap', "
+            f"'filename': '{first}'}}}}, or take the materials over with psdr.load_mesh"
+        )
 
 
 def _light(props: Properties, nested: list[tuple[str, dict, str]]) -> EmitterDescription | None:
