@@ -1,9 +1,16 @@
 """Media whose flights take too many tentative collisions are refused, on load and after edits, unless asked for."""
 
+import struct
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from warp_psdr import image_io
+from warp_psdr.cli import main
+from warp_psdr.fit.config import FitConfig
+from warp_psdr.fit.run import load_problem
 
 pytestmark = pytest.mark.filterwarnings("ignore:'camera' names no medium", "ignore:.* has an optical thickness")
 DATA = "smoke.interior_medium.sigma_t.data"
@@ -76,3 +83,27 @@ def test_microflakes_multiply_the_extinction() -> None:
     assert psdr.load_dict(scene(voxels(4e5)))
     with pytest.raises(ValueError, match="tentative collisions"):
         psdr.load_dict(scene(voxels(4e5), phase=wide))
+
+
+FILE = """<scene version="3.0.0"><emitter type="constant"/><sensor type="perspective"><film type="hdrfilm">
+<integer name="width" value="4"/><integer name="height" value="4"/></film></sensor>
+<shape type="cube" id="smoke"><bsdf type="null"/><medium type="heterogeneous" name="interior">
+<volume type="gridvolume" name="sigma_t"><string name="filename" value="smoke.vol"/></volume></medium></shape>
+</scene>"""
+
+
+@pytest.mark.filterwarnings("ignore:.* names no medium", "ignore:.* is not 0 at the border of its box")
+def test_the_command_line_and_fits_may_wait(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    (tmp_path / "scene.xml").write_text(FILE)
+    header = b"VOL" + struct.pack("<Biiiii6f", 3, 1, 5, 5, 5, 1, 0, 0, 0, 1, 1, 1)
+    (tmp_path / "smoke.vol").write_bytes(header + voxels(1e9).tobytes())
+    assert main(["plan", str(tmp_path / "scene.xml")]) != 0
+    assert "--max-collisions" in capsys.readouterr().err
+    assert main(["plan", str(tmp_path / "scene.xml"), "--max-collisions", "1e10"]) == 0
+    image_io.write_image(tmp_path / "target.exr", np.zeros((4, 4, 3), np.float32))
+    values = {"scene": "scene.xml", "targets": ["target.exr"], "output": "out", "parameters": {SCALE: {"lr": 0.1}}}
+    with pytest.raises(ValueError, match="tentative collisions"):
+        load_problem(FitConfig.from_mapping(values, folder=tmp_path))
+    assert load_problem(FitConfig.from_mapping({**values, "max_collisions": 1e10}, folder=tmp_path))
+    with pytest.raises(ValueError, match="max_collisions: got -1, expected a positive number"):
+        FitConfig.from_mapping({**values, "max_collisions": -1}, folder=tmp_path)

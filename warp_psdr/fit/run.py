@@ -231,7 +231,13 @@ def load_problem(config: FitConfig) -> Problem:
     for name, file in (("scene", config.scene), *((f"targets[{i}]", file) for i, file in enumerate(config.targets))):
         if not os.path.isfile(file):
             raise FileNotFoundError(f"fit config: {name}: {file} does not exist")
-    scene = psdr.load_file(config.scene, device=config.device, allow_outside=config.allow_outside, **config.defaults)
+    scene = psdr.load_file(
+        config.scene,
+        device=config.device,
+        allow_outside=config.allow_outside,
+        max_collisions=config.max_collisions,
+        **config.defaults,
+    )
     sensors = scene.description.sensors
     targets = []
     for sensor, file in zip(config.views, config.targets, strict=True):

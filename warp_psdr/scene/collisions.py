@@ -91,5 +91,5 @@ def too_many(medium: str, parameter: str, largest: float, count: float, after: s
         f"'{medium}': a ray through it takes up to {count:.2g} tentative collisions{after}, some "
         f"{count * _SECONDS:.2g} s for each path, which nothing interrupts: '{parameter}' reaches an extinction of "
         f"{largest:.3g} beside far thinner places; lower its largest values, or load the scene with max_collisions="
-        f"{2.0 * count:.0e} to wait for it"
+        f"{2.0 * count:.0e} (--max-collisions) to wait for it"
     )
