@@ -9,7 +9,8 @@ import pytest
 
 from tests.stability import corpus
 from warp_psdr.scene import describe_dict
-from warp_psdr.scene.gltf_files import geometry_only
+from warp_psdr.scene.gltf_files import Buffers
+from warp_psdr.scene.mesh_files import read_mesh
 
 BUFFER = corpus.CORNERS.tobytes() + corpus.FACES.astype(np.uint16).tobytes()
 
@@ -55,11 +56,10 @@ def test_what_trimesh_is_given_comes_from_the_guarded_look_up(tmp_path):
         asked.append(name)
         return tmp_path / "one.bin"
 
-    data = "data:application/octet-stream;base64," + base64.b64encode(BUFFER).decode()
-    _tree, found = geometry_only(written(tmp_path, "../a.bin", "/etc/b.bin", "../a.bin", data), find)
-    assert asked == ["../a.bin", "/etc/b.bin"]
-    assert found == {"../a.bin": BUFFER, "/etc/b.bin": BUFFER}
-    assert found["../a.bin"] is found["/etc/b.bin"]  # one file, read once
+    buffers = Buffers(find)
+    assert buffers["../a%20b.bin"] == BUFFER and buffers["/etc/b.bin"] == BUFFER
+    assert asked == ["../a b.bin", "/etc/b.bin"]
+    assert buffers["../a%20b.bin"] is buffers["/etc/b.bin"]  # one file, read once
 
 
 def test_buffers_in_the_file_itself(tmp_path):
@@ -68,6 +68,14 @@ def test_buffers_in_the_file_itself(tmp_path):
     written(tmp_path, "data:text/plain,abc")
     with pytest.raises(ValueError, match="a buffer's data URI is not in base64"):
         vertices(tmp_path)
+
+
+def test_readers_without_a_scene_stay_in_the_folder_of_the_mesh(tmp_path):
+    (tmp_path / "buffer.bin").write_bytes(BUFFER)
+    file = written(tmp_path / "models", "../buffer.bin")
+    with pytest.raises(ValueError, match=r"'\.\./buffer.bin' leaves the scene's folder"):
+        read_mesh("gltf", file, "here", print)
+    assert len(read_mesh("gltf", file, "here", print, find=lambda name: tmp_path / "buffer.bin").vertices) == 8
 
 
 def test_a_missing_buffer_is_named(tmp_path):

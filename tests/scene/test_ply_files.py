@@ -35,7 +35,7 @@ def test_values_equal_those_of_trimesh(tmp_path, faces):
         for name in theirs[element]["properties"]:
             expected = np.asarray(theirs[element]["data"][name])
             np.testing.assert_array_equal(ours[element]["data"][name].ravel(), expected.ravel(), err_msg=name)
-    mesh = read_mesh("ply", file, "here", lambda text: None, lambda name: file)
+    mesh = read_mesh("ply", file, "here", lambda text: None)
     np.testing.assert_array_equal(mesh.attributes["vertex_color"][:3], np.eye(3))
     assert mesh.faces.shape == (2 if faces == TRIANGLES else 4, 3) and mesh.faces.dtype.kind == "i"
 

@@ -2,7 +2,7 @@
 
 That reader makes every array that an accessor declares, whether data follow or not, places a mesh as often as nodes
 name it, decodes pictures of materials, and in some versions follows URIs to any file of the machine. glTF 2.0, sections
-3.6.1.2 (URIs of buffers), 3.6.2 (accessors) and 4.4 (binary files).
+3.6.1 (buffers), 3.6.2 (accessors) and 4.4 (binary files).
 """
 
 from __future__ import annotations
@@ -24,51 +24,23 @@ _MAGIC, _JSON = b"glTF", b"JSON"
 _HEAD = struct.Struct("<4sIII4s")
 
 
-def geometry_only(file: Path, find: Callable[[str], Path]) -> tuple[io.BytesIO, dict[str, bytes]]:
-    """Return a ``.gltf`` or ``.glb`` file without pictures, and the files that its buffers name, by URI.
-
-    Args:
-        file: An existing file.
-        find: Returns the existing file that a name stands for, or raises.
+def geometry_only(file: Path) -> io.BytesIO:
+    """Return a ``.gltf`` or ``.glb`` file without pictures.
 
     Raises:
-        ValueError: If the file is malformed, asks for more memory than geometry can take, or names a file that may not
-            be read.
-        FileNotFoundError: If there is no file of a buffer.
+        ValueError: If the file is malformed, or asks for more memory than geometry can take.
     """
     data = file.read_bytes()
     if file.suffix.lower() != ".glb":
-        tree = _geometry(json.loads(data))
-        return io.BytesIO(json.dumps(tree).encode()), _beside(tree, find)
+        return io.BytesIO(json.dumps(_geometry(json.loads(data))).encode())
     magic, version, _, length, kind = _HEAD.unpack_from(data)
     if magic != _MAGIC or kind != _JSON:
         raise ValueError("it does not start as binary glTF does")
     rest = data[_HEAD.size + length :]
-    tree = _geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))
-    text = json.dumps(tree).encode()
+    text = json.dumps(_geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))).encode()
     text += b" " * (-len(text) % 4)
     total = _HEAD.size + len(text) + len(rest)
-    stream = io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
-    return stream, _beside(tree, find)
-
-
-def _beside(tree: dict, find: Callable[[str], Path]) -> dict[str, bytes]:
-    """Return the contents of the files that buffers name, by URI; each file is read once, however often it is named."""
-    found: dict[str, bytes] = {}
-    read: dict[Path, bytes] = {}
-    for buffer in tree.get("buffers", []):
-        uri = buffer.get("uri")
-        if uri is None or uri in found:
-            continue
-        if uri.startswith("data:"):
-            if ";base64," not in uri:
-                raise ValueError("a buffer's data URI is not in base64")
-            continue  # part of the file itself
-        file = find(unquote(uri)).resolve()
-        if file not in read:
-            read[file] = file.read_bytes()
-        found[uri] = read[file]
-    return found
+    return io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
 
 
 def _geometry(tree: Any) -> dict:
@@ -96,3 +68,31 @@ def _size(accessor: dict) -> int:
 def _mesh_size(mesh: dict, sizes: list[int]) -> int:
     used = [i for part in mesh["primitives"] for i in (*part["attributes"].values(), part.get("indices", 0))]
     return sum(sizes[i] for i in used)
+
+
+class Buffers:
+    """The files that buffers name, by URI: what trimesh's readers take for a resolver.
+
+    Args:
+        find: Returns the existing file that a name stands for, or raises.
+    """
+
+    def __init__(self, find: Callable[[str], Path]):
+        self._find = find
+        self._read: dict[Path, bytes] = {}
+
+    def __getitem__(self, uri: str) -> bytes:
+        """Return the content of a file; each is read once, however often and under whatever names it is asked for.
+
+        Raises:
+            ValueError: If the file may not be read, or the URI holds data in another form than base64.
+            FileNotFoundError: If there is no such file.
+        """
+        if uri.startswith("data:"):
+            raise ValueError("a buffer's data URI is not in base64")
+        file = self._find(unquote(uri)).resolve()
+        if file not in self._read:
+            self._read[file] = file.read_bytes()
+        return self._read[file]
+
+    get = __getitem__

@@ -11,6 +11,7 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
+from .context import Context
 from .errors import SceneError, error
 from .meshes import MeshData, fans, vertex_normals
 from .obj_files import read_obj
@@ -25,7 +26,9 @@ _COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2,
 _REEXPORT = "export the mesh again"
 
 
-def read_mesh(kind: str, file: Path, where: str, note: Any, find: Callable[[str], Path], index: int = 0) -> MeshData:
+def read_mesh(
+    kind: str, file: Path, where: str, note: Any, index: int = 0, find: Callable[[str], Path] | None = None
+) -> MeshData:
     """Read a mesh file; texture coordinates are as the file has them.
 
     Args:
@@ -33,22 +36,22 @@ def read_mesh(kind: str, file: Path, where: str, note: Any, find: Callable[[str]
         file: An existing file.
         where: Place in the scene, for messages.
         note: Called with remarks for the user.
-        find: Returns the existing file that a name in the file stands for, or raises.
         index: Number of the mesh in the file ("serialized").
+        find: Returns the existing file that a name in the file stands for, or raises; None: in or below its folder.
 
     Raises:
         ValueError: If the file, or one that it names, cannot be read.
         FileNotFoundError: If a file that it names does not exist.
     """
+    readers = {"obj": read_obj, "ply": _read_ply}
     place = f"{where}, file '{file}'"
+    if kind in ("gltf", "glb"):
+        beside = Context(str(file), file.parent)
+        return _read_gltf(file, place, note, find or (lambda name: beside.file(name, place)))
     if kind == "serialized":
         return read_serialized(file, index, place, note)
-    if kind in ("gltf", "glb"):
-        return _read_gltf(file, place, note, find)
-    if kind == "obj":
-        return read_obj(file, place, find)
-    if kind == "ply":
-        return _read_ply(file, place, note)
+    if kind in readers:
+        return readers[kind](file, place, note)
     from trimesh.exchange import off, stl
 
     def load(stream: BinaryIO) -> MeshData:
@@ -171,12 +174,11 @@ def _read_gltf(file: Path, place: str, note: Any, find: Callable[[str], Path]) -
     from trimesh.exchange import gltf
     from trimesh.scene.transforms import SceneGraph
 
-    from .gltf_files import geometry_only
+    from .gltf_files import Buffers, geometry_only
 
     def load(stream: BinaryIO) -> MeshData:
         read = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
-        tree, buffers = geometry_only(file, find)
-        values = read(tree, resolver=buffers)
+        values = read(geometry_only(file), resolver=Buffers(find))
         graph = SceneGraph(base_frame=values.get("base_frame", "world"))
         for edge in values.get("graph", ()):
             graph.update(**edge)

@@ -35,7 +35,6 @@ class MeshData:
     texcoords: np.ndarray | None = None  #: (N, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
     face_normals: bool = False  #: the file asks for face normals
-    pictures: tuple[str, ...] = ()  #: that the file's own materials have, which are not read
 
 
 def in_place(props: Properties) -> MeshData:

@@ -7,15 +7,14 @@ that of the first use in the faces.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .errors import SceneError, error
 from .meshes import MeshData, fans
-from .mtl_files import pictures
 
 #: Keywords that are read, with the numbers that their lines hold at least.
 _COLUMNS = {"v": 3, "vt": 2, "vn": 3}
@@ -24,17 +23,15 @@ _REEXPORT = "export the mesh again"
 _BLANK = 32
 #: Keys of corners are made of three indices; larger products do not fit.
 _KEY_MAX = 2**62
-#: Files of materials that are looked into: most meshes have one.
-_LIBRARIES_MAX = 16
 
 
-def read_obj(file: Path, place: str, find: Callable[[str], Path]) -> MeshData:
+def read_obj(file: Path, place: str, note: Any) -> MeshData:
     """Read positions, texture coordinates, normals, vertex colours and polygons (cut into fans).
 
     Args:
         file: An existing file.
         place: Place in the scene, for messages.
-        find: Returns the existing file that a name in the file stands for, or raises.
+        note: Called with remarks for the user; there are none.
 
     Raises:
         ValueError: If a line cannot be read, or a face refers to what is not there.
@@ -54,7 +51,6 @@ def read_obj(file: Path, place: str, find: Callable[[str], Path]) -> MeshData:
     if positions.shape[1] >= 6:
         with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
             data.attributes["vertex_color"] = positions[vertex[:, 0], 3:6].astype(np.float32)
-    data.pictures = pictures(lines.libraries, find)
     return data
 
 
@@ -68,7 +64,6 @@ class _Lines:
         number: (L,) of each line in the file, from 1.
         words: (L,) of each line, its keyword included.
         kind: (L,) keyword of each line: its place in ``kinds``, or -1.
-        libraries: What follows each ``mtllib``.
     """
 
     text: np.ndarray
@@ -77,7 +72,6 @@ class _Lines:
     number: np.ndarray
     words: np.ndarray
     kind: np.ndarray
-    libraries: list[str]
 
     kinds = ("v", "vt", "vn", "f")
 
@@ -103,14 +97,10 @@ class _Lines:
         kind[(a == ord("v")) & (b == ord("t")) & (c <= _BLANK)] = 1
         kind[(a == ord("v")) & (b == ord("n")) & (c <= _BLANK)] = 2
         kind[(a == ord("f")) & (b <= _BLANK)] = 3
-        named = np.flatnonzero((a == ord("m")) & (b == ord("t")) & (c == ord("l")))[:_LIBRARIES_MAX]
-        tails = ends[said]
-        rows = [text[first[i] : tails[i]].tobytes().decode("utf-8", errors="replace") for i in named]
-        libraries = [words[1].strip() for words in (row.split(None, 1) for row in rows) if words[1:]]
         # What follows a keyword are numbers.
         text[first[kind >= 0]] = _BLANK
         text[first[(kind == 1) | (kind == 2)] + 1] = _BLANK
-        return cls(text, start, tails, number, words[said], kind, libraries)
+        return cls(text, start, ends[said], number, words[said], kind)
 
     def of_kind(self, keyword: str) -> np.ndarray:
         """Return which lines have a keyword."""

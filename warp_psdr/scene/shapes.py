@@ -15,6 +15,7 @@ from .errors import ReportedError, error
 from .exact import EXACT, exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
+from .mtl_pictures import first_picture
 from .network import INSTEAD as GRIDDED
 from .network import NEURALSDF, read_network
 from .origin import collapses, moved
@@ -25,6 +26,7 @@ from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from .context import Context
@@ -32,8 +34,6 @@ if TYPE_CHECKING:
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
 _FLIP_TEX_COORDS = ("obj", "gltf", "glb")
-#: Letters of a file's name in a remark.
-_NAME_MAX = 200
 
 
 def build(node: dict, where: str, path: str, context: Context) -> ShapeDescription:
@@ -58,8 +58,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
     emitter = _light(props, lights)
-    if geometry is not None and isinstance(geometry[0], MeshData):
-        _note_pictures(props, geometry[0], bsdf)
+    if geometry is not None and props.type == "obj":
+        _note_picture(props, bsdf)
     sides = media.take_sides(props, bsdf)
     meter = None
     if meters:
@@ -169,12 +169,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
     file = props.context.file(name, props.place("filename"))
     index = props.integer("shape_index", 0, minimum=0) if props.type == "serialized" else 0
-    place = f"{props.where}, file '{file}'"
-
-    def find(other: str) -> Path:
-        return props.context.file(FileName(other, file.parent), place)
-
-    data = read_mesh(props.type, file, props.where, props.context.note, find, index)
+    data = read_mesh(props.type, file, props.where, props.context.note, index, _finder(props, file))
     props.context.count(data.vertices.size + data.faces.size, props.where)
     # Only serialized meshes have no such parameter.
     if (
@@ -183,7 +178,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         and data.texcoords is not None
     ):
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
-    return data, to_world, place
+    return data, to_world, f"{props.where}, file '{file}'"
 
 
 def _local_frame(props: Properties) -> np.ndarray:
@@ -279,15 +274,22 @@ def _bsdf(props: Properties, *, shines: bool) -> bsdfs.BsdfDescription:
     )
 
 
-def _note_pictures(props: Properties, data: MeshData, bsdf: bsdfs.BsdfDescription) -> None:
+def _finder(props: Properties, file: Path) -> Callable[[str], Path]:
+    """Return what finds the files that a mesh file names, as all others of a scene are found."""
+    return lambda name: props.context.file(FileName(name, file.parent), f"{props.where}, file '{file}'")
+
+
+def _note_picture(props: Properties, bsdf: bsdfs.BsdfDescription) -> None:
     """Note that the pictures of a file's own materials are left out, unless the shape has one of its own."""
-    leaves = [leaf for side in bsdf.sides for texture in side.textures.values() for leaf in texture.leaves]
-    if data.pictures and all(leaf.kind != "bitmap" for leaf in leaves):
-        first = data.pictures[0][:_NAME_MAX]
+    if any(leaf.kind == "bitmap" for side in bsdf.sides for t in side.textures.values() for leaf in t.leaves):
+        return
+    file = props.context.file(props.node["filename"], props.place("filename"))
+    name = first_picture(file, _finder(props, file))
+    if name:
         props.context.note(
-            f"{props.where}: the materials of the mesh are ignored, and with them pictures such as "
-            f"'{first}' (map_Kd); name it in the shape's bsdf, {{'type': 'diffuse', 'reflectance': {{'type': 'bitmap', "
-            f"'filename': '{first}'}}}}, or take the materials over with psdr.load_mesh"
+            f"{props.where}: the materials of the mesh are ignored, and with them pictures such as '{name}' (map_Kd); "
+            "name it in the shape's bsdf, {'type': 'diffuse', 'reflectance': {'type': 'bitmap', 'filename': "
+            f"'{name}'}}}}, or take the materials over with psdr.load_mesh"
         )
 
 
