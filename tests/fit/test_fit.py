@@ -223,7 +223,7 @@ def test_checkpoint_of_other_files_of_the_scene_is_refused(config: FitConfig) ->
         fit(config, resume=True)
 
 
-@pytest.mark.parametrize("value", [7.0, -0.1, np.nan])
+@pytest.mark.parametrize("value", [7.0, -0.1])
 def test_checkpoint_with_values_out_of_bounds_is_refused(config: FitConfig, value: float) -> None:
     fit(config, iterations=1)
     arrays, values = checkpoint.load(config.output / CHECKPOINT)

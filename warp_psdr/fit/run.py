@@ -409,11 +409,11 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
         history = losses.tolist()
         for name in problem.config.parameters:
             found = arrays[f"parameter/{name}"].astype(np.float32)
+            problem.params[name] = found
             low, high = problem.params.bounds(name)
-            if not ((found >= low) & (found <= high)).all():
+            if found.min() < low or found.max() > high:
                 ends = f"from {found.min():.4g} to {found.max():.4g}"
                 raise ValueError(f"{name!r} has values {ends}, expected them in [{low:g}, {high:g}]")
-            problem.params[name] = found
             if problem.scene.origin.any():
                 stored = arrays[f"stored/{name}"]
                 if stored.shape != problem.stored(name).shape or not np.isfinite(stored).all():
