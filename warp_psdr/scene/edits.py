@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.scene.layout import BRIGHTNESS, MEDIUM, POSITIONS, SHAPE_GRID, Parameter
+from warp_psdr.scene.poses import Local
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,7 @@ class State:
     """What edits of a scene change: its values, and the object-space geometry of posed shapes."""
 
     values: np.ndarray
-    local: dict[int, tuple[wp.array, wp.array]]
+    local: dict[int, Local]
 
 
 def has_results(p: Parameter) -> bool:

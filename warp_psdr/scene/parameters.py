@@ -1,4 +1,4 @@
-"""The values of a scene by name: read, written, and asked for derivatives."""
+"""The named values of a scene: reading, writing, and requests for derivatives."""
 
 from __future__ import annotations
 
