@@ -41,6 +41,14 @@ class Image(wp.array):
         self.signed, self.stack = signed, stack
         self.zero_()
 
+    def __reduce__(self):
+        """Return what a copy, or another process, makes the same image of."""
+        device = wp.get_device(self.device).alias
+        return _image_of, (self.numpy(), device, self.requires_grad, self.signed, self.stack)
+
+    def __deepcopy__(self, _memo: Any) -> Image:
+        return _image_of(*self.__reduce__()[1])
+
     def _repr_png_(self) -> bytes:
         """Return the picture that a notebook shows: sRGB, clipped to [0, 1]."""
         from PIL import Image as Picture
@@ -62,3 +70,9 @@ class Image(wp.array):
         factor = max(-(-_SHOWN // max(min(pixels.shape[:2]), 1)), 1)
         Picture.fromarray(pixels.repeat(factor, axis=0).repeat(factor, axis=1)).save(stream, "PNG")
         return stream.getvalue()
+
+
+def _image_of(values: np.ndarray, device: str, requires_grad: bool, signed: bool, stack: bool) -> Image:
+    image = Image(values.shape[:-1], device, requires_grad=requires_grad, signed=signed, stack=stack)
+    image.assign(values)
+    return image

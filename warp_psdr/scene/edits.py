@@ -20,6 +20,11 @@ class State:
     values: np.ndarray
     local: dict[int, Local]
 
+    def __reduce__(self):
+        """Return the state with arrays of NumPy, which other processes take."""
+        local = {k: v if isinstance(v, np.ndarray) else tuple(a.numpy() for a in v) for k, v in self.local.items()}
+        return State, (self.values, local)
+
 
 def has_results(p: Parameter) -> bool:
     """Return whether the scene keeps or checks what follows from a parameter: triangles, places, power, media."""

@@ -99,8 +99,15 @@ class Poses:
         return dict(self._local)
 
     def restore(self, state: dict[int, Local]) -> None:
-        """Go back to a state; the scene's values do so, too."""
-        self._local = dict(state)
+        """Go back to a state of this scene, or of one like it; the scene's values do so, too."""
+        device = self._scene.device
+
+        def here(local):
+            if isinstance(local, np.ndarray) or isinstance(local[0], wp.array):
+                return local
+            return tuple(wp.array(values, dtype=wp.vec3, device=device) for values in local)
+
+        self._local = {shape: here(local) for shape, local in state.items()}
 
     def offsets(self, shape: int) -> tuple[int, int, int]:
         """Flat offsets of a posed shape's matrix, of its first position and of its first normal.

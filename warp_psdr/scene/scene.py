@@ -91,6 +91,8 @@ class Scene:
         builder = Builder(description)
         self.builder = builder
         self.invalid = Ledger()
+        #: Parameters that were assigned since the scene followed them.
+        self.pending: set[str] = set()
         self._unfinished: list[str] = []
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
@@ -166,15 +168,9 @@ class Scene:
         return summary(self)
 
     def __reduce_ex__(self, _protocol: Any):
-        """Refuse copies.
-
-        Raises:
-            TypeError: always.
-        """
-        raise TypeError(
-            "a scene holds memory of its device: it can neither be copied nor pickled. Load it once more, or keep "
-            "{name: array.numpy() for name, array in psdr.traverse(scene).items()}"
-        )
+        """Return what a copy, or another process, makes the same scene of: its description and its values."""
+        self.settle()
+        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, self.state())
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -268,6 +264,12 @@ class Scene:
     def edited(self) -> list[str]:
         """Return the names of the parameters that were edited in place and have to be refreshed."""
         return self._edits.found()
+
+    def settle(self, names: Iterable[str] = ()) -> None:
+        """Follow all edits; ``names``: what was edited in place, else checksums tell."""
+        changed = self.pending.union(names or self.edited())
+        self.refresh([name for name in self.parameters if name in changed])
+        self.pending.clear()
 
     def refresh(self, names: list[str]) -> None:
         """Recompute what depends on the named parameters, and on those of a call before that failed.
@@ -446,3 +448,11 @@ class Scene:
         """Whether shading normals depend on any of the named parameters."""
         derived = self.derived_normals(names) or self.instances.derived_normals(names)
         return self.has_use(names, NORMALS, SHAPE_POSE) or bool(derived)
+
+
+def _loaded_again(description: SceneDescription, device: str, contact_ratio: float, state: State) -> Scene:
+    """Return a scene with the values of another one, which may have lived in another process."""
+    scene = Scene(description, device)
+    scene.contact_ratio = contact_ratio
+    scene.restore(state)
+    return scene

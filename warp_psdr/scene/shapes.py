@@ -31,9 +31,9 @@ if TYPE_CHECKING:
 
     from .context import Context
 
-#: A mesh has a pose where the columns of ``to_world``, of length one, span this volume or more, and where its vertices
-#: are no farther than so many of its extents from the origin of its own coordinates, whose digits float32 keeps.
-SINGULAR, FARTHEST = 1.0e-6, 1.0e3
+#: A mesh has a pose where its vertices are no farther than so many of its extents from the origin of its own
+#: coordinates: float32 keeps their digits.
+FARTHEST = 1.0e3
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
 _FLIP_TEX_COORDS = ("obj", "gltf", "glb")
@@ -128,12 +128,8 @@ def _triangles(
 
 def _has_pose(to_world: np.ndarray, vertices: np.ndarray) -> bool:
     """Return whether a mesh's own coordinates can be found from the world's, with their digits."""
-    linear, place = to_world[:3, :3], to_world[:3, 3]
-    lengths = np.linalg.norm(linear, axis=0)
-    if not lengths.all() or abs(np.linalg.det(linear / lengths)) < SINGULAR:
-        return False
-    extent = float(np.ptp(vertices, axis=0).max()) if len(vertices) else 0.0
-    return float(np.abs(vertices - place).max(initial=0.0)) <= FARTHEST * extent
+    extent = float(np.ptp(vertices, axis=0).max())
+    return float(np.abs(vertices - to_world[:3, 3]).max()) <= FARTHEST * extent
 
 
 def _refuse_beside_exact(
