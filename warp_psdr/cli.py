@@ -157,6 +157,9 @@ def _scene_options(parser: argparse.ArgumentParser) -> None:
         metavar="FOLDER",
         help="the scene may read files in or below it, beside its own folder; repeatable",
     )
+    parser.add_argument(
+        "--max-collisions", type=float, default=1e7, help="tentative ones of a flight through a medium (default 1e7)"
+    )
     parser.add_argument("--sensor", type=_sensor, default=0, help="number or id of the camera (default 0)")
     parser.add_argument("--max-depth", type=int, help="longest path; -1: no limit (default: the scene's)")
     parser.add_argument("--device", default="cpu", help="Warp device (default cpu)")
@@ -393,8 +396,8 @@ def _load(arguments: argparse.Namespace) -> tuple[Any, Any]:
         if not separator:
             raise ValueError(f"-D: got {text!r}, expected NAME=VALUE")
         defaults[name] = value
-    outside = arguments.allow_outside
-    scene = psdr.load_file(arguments.scene, device=arguments.device, allow_outside=outside, **defaults)
+    allowed = {"allow_outside": arguments.allow_outside, "max_collisions": arguments.max_collisions}
+    scene = psdr.load_file(arguments.scene, device=arguments.device, **allowed, **defaults)
     arguments.sensor = scene.description.sensor_number(arguments.sensor)
     if getattr(arguments, "run", None) is not _plan:
         require_steady(scene, arguments.sensor, "the command line")

@@ -264,6 +264,11 @@ def _as_image(target: wp.array | np.ndarray, image: wp.array) -> wp.array:
         there: Any = target.to(image.device)
         return wp.array(there, dtype=kind, copy=False, requires_grad=False) if there.requires_grad else there
     values = np.asarray(target)
+    if values.dtype in (np.uint8, np.uint16):
+        raise TypeError(
+            f"target: got {_describe(target)}, expected linear values: read the file with psdr.read_image, or divide "
+            f"by {np.iinfo(values.dtype).max} and linearise: ((x + 0.055) / 1.055) ** 2.4, x / 12.92 up to 0.04045"
+        )
     if values.dtype.kind not in "fiu":
         raise TypeError(f"target: got {_describe(target)}, expected wp.array2d[vec3] or a NumPy array {shape}")
     if values.shape != shape:

@@ -39,6 +39,7 @@ class Adam:
             textures and environment maps of which one view sees but a part.
 
     Raises:
+        TypeError: If a learning rate is no number.
         ValueError: If a name is unknown or requires no gradient, a number is out of range, or values and what follows
             them are given: a pose and its vertices, positions and their computed normals.
     """
@@ -53,9 +54,10 @@ class Adam:
         mask_updates: bool = False,
     ):
         if isinstance(lr, Mapping):
-            rates = {name: float(rate) for name, rate in lr.items()}
+            rates = {name: _number(f"lr of {name!r}", rate) for name, rate in lr.items()}
         else:
-            rates = {name: float(lr) for name in params if params[name].grad is not None}
+            rate = _number("lr", lr)
+            rates = {name: rate for name in params if params[name].grad is not None}
         if not rates:
             raise ValueError("no parameter to optimise; call params.requires_grad(name, ...) or give lr as a dict")
         for name, rate in rates.items():
@@ -308,6 +310,13 @@ def _laplacian_weight(lambda_: float | None, alpha: float | None) -> float:
     if not (math.isfinite(weight) and weight > 0.0):
         raise ValueError(f"lambda_: got {lambda_}, expected a positive number; psdr.optim.Adam has no smoothing")
     return weight
+
+
+def _number(name: str, value: Any) -> float:
+    """Return a number as one; a text is none, even if it reads like one."""
+    if isinstance(value, str | bytes | bool) or not hasattr(value, "__float__"):
+        raise TypeError(f"{name}: got {value!r}, expected a number, or a dict of one for each parameter")
+    return float(value)
 
 
 def flat(array: wp.array) -> wp.array:

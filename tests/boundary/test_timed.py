@@ -18,7 +18,7 @@ UP[2, 3] = 1.0
 SLOPE = 0.04
 
 
-def table(**film):
+def table(card=None, **film):
     """A card over a floor, in the light of a point and of a panel; the camera sees card, floor and both shadows."""
     view = timed.camera((0.0, -2.2, 2.6), (0.0, 0.0, 0.2), 38.0, 12, (0, 0, 1), **film)
     down = psdr.Transform.look_at((-0.5, 0.2, 2.0), (0, 0, 0), (0, 1, 0)) @ psdr.Transform.scale(0.3)
@@ -39,7 +39,7 @@ def table(**film):
         },
         "lamp": {"type": "point", "position": [0.6, 0.3, 1.8], "intensity": {"type": "rgb", "value": [3, 3, 3]}},
     }
-    return psdr.load_dict(scene)
+    return psdr.load_dict(scene if card is None else {**scene, "card": card})
 
 
 def derivative(scene, name, direction, integrator, spp, seeds):
@@ -140,3 +140,21 @@ def test_what_is_not_followed_is_refused() -> None:
         plan(table(**BINS), boundary=psdr.boundary.Projective())
     with pytest.raises(ValueError, match=r"use boundary.PathSpace\(\) without guiding"):
         plan(table(**BINS), boundary=psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()))
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [
+        ({"type": "cube"}, "'card' and 'floor' run through each other|'floor' and 'card' run through each other"),
+        ({"type": "sphere"}, "interpolated normals turn away"),
+    ],
+)
+def test_the_plan_refuses_what_terms_would(shape: dict, message: str) -> None:
+    height = 0.1 if shape["type"] == "cube" else 0.8  # the cube pierces the floor
+    pose = psdr.Transform.translate((0.1, 0.1, height)) @ psdr.Transform.scale(0.3)
+    scene = table(card={**shape, "to_world": pose, "bsdf": timed.paint(0.4, 0.7, 0.8)}, **BINS)
+    with pytest.raises(ValueError, match=f"derivatives by card.to_world before the 'transient_hdr_film'.*({message})"):
+        psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=3))
+    alone = psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=3, boundary=None))
+    assert alone.boundary is None
+    assert psdr.plan(scene, names=["lamp.intensity.value"], integrator=psdr.PathIntegrator(max_depth=3))

@@ -15,7 +15,7 @@ import pytest
 import warp_psdr as psdr
 from tests.fit.scenes import SKY, TEXTURE, TRUTH, write_fit
 from warp_psdr import image_io, plots
-from warp_psdr.fit import checkpoint
+from warp_psdr.fit import checkpoint, run
 from warp_psdr.fit import report as fit_report
 from warp_psdr.fit.run import CHECKPOINT, FitConfig, Unknown, _step, fit, views_of_step
 from warp_psdr.view import viewer
@@ -170,6 +170,20 @@ def test_existing_checkpoint_is_not_overwritten_by_accident(config: FitConfig) -
     assert len(fit(config, iterations=2, overwrite=True).losses) == 2
 
 
+def test_a_run_that_ends_while_another_starts_keeps_its_results(config: FitConfig, monkeypatch) -> None:
+    load = run.load_problem
+
+    def loads_while_another_ends(config: FitConfig) -> run.Problem:
+        config.output.mkdir()
+        (config.output / CHECKPOINT).write_bytes(b"of another run")
+        return load(config)
+
+    monkeypatch.setattr(run, "load_problem", loads_while_another_ends)
+    with pytest.raises(ValueError, match=r"checkpoint\.npz exists: resume it"):
+        fit(config, iterations=1)
+    assert (config.output / CHECKPOINT).read_bytes() == b"of another run"
+
+
 def test_resume_without_checkpoint_starts_at_the_beginning(config: FitConfig) -> None:
     assert len(fit(config, iterations=1, resume=True).losses) == 1
 
@@ -209,10 +223,31 @@ def test_checkpoint_of_other_files_of_the_scene_is_refused(config: FitConfig) ->
         fit(config, resume=True)
 
 
+@pytest.mark.parametrize("value", [7.0, -0.1])
+def test_checkpoint_with_values_out_of_bounds_is_refused(config: FitConfig, value: float) -> None:
+    fit(config, iterations=1)
+    arrays, values = checkpoint.load(config.output / CHECKPOINT)
+    arrays[f"parameter/{TEXTURE}"][0, 0, 0] = value
+    checkpoint.save(config.output / CHECKPOINT, arrays, values)
+    with pytest.raises(ValueError, match=rf"{TEXTURE}' has values from .* expected them in \[0, 1\]; start again"):
+        fit(config, resume=True)
+
+
 def test_finished_run_is_not_shortened(config: FitConfig) -> None:
     fit(config, iterations=2)
     with pytest.raises(ValueError, match="at most 1 iterations"):
         fit(config, iterations=1, resume=True)
+
+
+def test_transparent_targets_are_refused(tmp_path: Path) -> None:
+    image = np.full((4, 5, 4), 0.5, np.float32)
+    image[..., 3] = 1.0
+    image_io.write_image(tmp_path / "a.png", image)
+    np.testing.assert_allclose(run.read_target(tmp_path / "a.png", (4, 5)), 0.5, atol=0.01)  # opaque: nothing is lost
+    image[1, 2:, 3] = 0.0
+    image_io.write_image(tmp_path / "a.png", image)
+    with pytest.raises(ValueError, match=r"a.png: 3 pixels are transparent .* write the target without alpha"):
+        run.read_target(tmp_path / "a.png", (4, 5))
 
 
 def test_views_take_turns() -> None:

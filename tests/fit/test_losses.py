@@ -120,6 +120,8 @@ def test_kernels_before_the_loss_chain() -> None:
         ("image", "smaller", ValueError, r"target: got shape \(2, 2\)"),
         ("image", "scalar", TypeError, "target: got wp.array of float32"),
         ("image", None, TypeError, "target: got NoneType"),
+        ("image", np.zeros((4, 4, 3), np.uint8), TypeError, "uint8.*psdr.read_image, or divide by 255 and linearise"),
+        ("image", np.zeros((4, 4, 3), np.uint16), TypeError, "uint16.*divide by 65535"),
     ],
 )
 def test_what_is_no_image_is_named(image, target, error: type[Exception], message: str) -> None:

@@ -170,6 +170,14 @@ def test_non_finite_gradient_names_parameter_and_step_and_changes_nothing(bad: f
     assert adam.steps == 1
 
 
+@pytest.mark.parametrize("rate", ["0.1", True, None, [0.1]])
+def test_learning_rates_are_numbers(rate) -> None:
+    for lr, name in ((rate, "lr"), ({"x": rate}, "lr of 'x'")):
+        with pytest.raises(TypeError, match=rf"{name}: got .*, expected a number"):
+            optim.Adam(Parameters({"x": np.zeros(2)}), lr)
+    assert optim.Adam(Parameters({"x": np.zeros(2)}), np.float32(0.5)).lr == {"x": 0.5}
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

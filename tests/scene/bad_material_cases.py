@@ -127,6 +127,11 @@ CASES = [
         for glass in ("roughdielectric", "roughplastic")
     ),
     Case(
+        "roughdielectric between nearly equal indices",
+        ("scene['x']['bsdf']", "int_ior / ext_ior is 1.00099", "by a ratio of 0.001 or more"),
+        plugins=model(type="roughdielectric", int_ior=1.00099, ext_ior=1.0),
+    ),
+    Case(
         "map of normals on nothing",
         ("scene['x']['bsdf']", "a 'normalmap' with 0 nested bsdf", "nest exactly one"),
         plugins=model(type="normalmap", normalmap=bitmap(0.5)),

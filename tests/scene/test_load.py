@@ -94,3 +94,16 @@ def assert_same(ours, theirs, where: str) -> None:
         np.testing.assert_allclose(ours.matrix, np.array(theirs.matrix), atol=POSE_ROUNDING, err_msg=where)
     else:
         assert np.array_equal(ours, theirs), where
+
+
+@pytest.mark.parametrize(
+    "bsdf",
+    [
+        {"type": "roughdielectric", "int_ior": 1.001, "ext_ior": 1.0},
+        {"type": "roughdielectric", "int_ior": 0.999, "ext_ior": 1.0},
+        {"type": "principled", "eta": 1.001, "spec_trans": 1.0},
+    ],
+)
+def test_an_index_as_near_to_one_as_the_message_allows(bsdf: dict) -> None:
+    scene = {"type": "scene", "s": {"type": "sphere", "bsdf": bsdf}, "camera": {"type": "perspective"}}
+    assert describe_dict(scene).shapes

@@ -124,6 +124,16 @@ def test_what_is_wrong_is_named(medium, words):
         inside(**medium)
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_exact_shapes_shine_beside_media(named):
+    other = {"type": "homogeneous", "id": "other"}
+    light = {"type": "area", **({"medium": other} if named else {})}
+    ball = {"type": "sphere", "exact": True, "radius": 0.1, "emitter": light}
+    notes = describe(cube={**CUBE, "interior": {"type": "homogeneous"}}, ball=ball).notes
+    about = [note for note in notes if "'ball.emitter' names 'ball.emitter.medium', but where it is 'cube' has" in note]
+    assert len(about) == named
+
+
 def test_media_stand_in_their_places():
     with pytest.raises(ValueError, match="a medium as 'inside'; name it 'interior' or 'exterior'"):
         describe(cube={**CUBE, "inside": {"type": "homogeneous"}})
@@ -134,7 +144,12 @@ def test_media_stand_in_their_places():
         with pytest.raises(ValueError, match=f"'{sides}' is given twice"):
             describe_string(f'<scene version="3.0.0"><medium type="homogeneous" id="fog"/>{text}</scene>')
     notes = describe(cube={"type": "cube", "interior": {"type": "homogeneous"}}).notes
-    assert any("lets no light through" in note for note in notes)
+    assert any("lets no light through" in note and "name the medium 'exterior'" in note for note in notes)
+    fog = {"type": "homogeneous", "id": "fog"}
+    within = {"type": "ref", "id": "fog"}
+    for sides in ({"exterior": within}, {"exterior": within, "interior": within}):  # a stone, and a wall, in fog
+        notes = describe(cube={**CUBE, "interior": fog}, stone={"type": "sphere", **sides}).notes
+        assert not any("lets no light through" in note for note in notes)
     hints = describe(cube={**CUBE, "interior": {"type": "homogeneous", "sample_emitters": False}}).notes
     assert any("'sample_emitters' is ignored" in note for note in hints)
 

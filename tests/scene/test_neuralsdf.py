@@ -1,11 +1,18 @@
 """Networks of signed distances: what loads, what is refused, and how they follow edits."""
 
+import io
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
 from tests.networks import fitted, neck
+from tests.stability import corpus
 from warp_psdr.options import boundary, interior
+from warp_psdr.scene import describe_dict
 
 from .test_sdfgrid import FLAT, TILES, T
 
@@ -80,6 +87,59 @@ def test_files(tmp_path) -> None:
     both["body"]["layer0.bias"] = arrays["layer0.bias"]
     with pytest.raises(ValueError, match=r"got filename and layer0.bias"):
         psdr.load_dict(both)
+
+
+def header(shape: str) -> bytes:
+    """Return the start of an array's file that declares a shape, with hardly anything behind it."""
+    text = f"{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + b"\0" * 64
+
+
+def packed(packing: int, *entries: bytes, declared: int = -1) -> bytes:
+    """Return an archive; ``declared``: size of its first entry by its own account."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", packing) as archive:
+        for number, data in enumerate(entries):
+            archive.writestr(f"layer{number}.weight.npy", data)
+    data = bytearray(stream.getvalue())
+    if declared >= 0:
+        at = data.rindex(b"PK\x01\x02") + 24
+        data[at : at + 4] = declared.to_bytes(4, "little")
+    return bytes(data)
+
+
+WHOLE = corpus.network(np.savez)
+
+
+@pytest.mark.parametrize(
+    ("content", "problem"),
+    [
+        (b"PK\3\4" + b"x" * 99, "not a zip file"),
+        (WHOLE[:-40], "not a zip file"),
+        (WHOLE.replace(b"NUMPY", b"numpy", 1), "Bad CRC-32"),
+        (corpus.network(np.savez_compressed).replace(b"\xda", b"\xdb"), "."),
+        (packed(zipfile.ZIP_STORED, header("(2147483648, 3)")), r"of shape \(2147483648, 3\) is longer or shorter"),
+        (packed(zipfile.ZIP_STORED, header("(3, (((")), "."),
+        (packed(zipfile.ZIP_STORED, header("(3,), 'x': 0")), "."),
+        (
+            lambda: packed(zipfile.ZIP_DEFLATED, *3 * (bytes(1 << 25),)),
+            "its arrays take 100663296 bytes, and at most 67108864",
+        ),
+        (lambda: packed(zipfile.ZIP_DEFLATED, bytes(1 << 25), declared=99), "."),
+        (lambda: packed(zipfile.ZIP_BZIP2, bytes(99)), "packed otherwise than by numpy.savez"),
+    ],
+)
+def test_damaged_files_and_such_as_unpack_to_too_much(
+    content: bytes | Callable[[], bytes], problem: str, tmp_path
+) -> None:
+    (tmp_path / "net.npz").write_bytes(content() if callable(content) else content)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=rf"'net.npz' is no .npz file that can be read \(.*{problem}.*\)"):
+            describe_dict(described(filename="net.npz"), base=tmp_path)
+        assert tracemalloc.get_traced_memory()[1] < 1 << 24  # of 96 MB and 24 GB
+    finally:
+        tracemalloc.stop()
 
 
 def test_it_is_refused_in_groups() -> None:

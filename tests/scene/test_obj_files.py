@@ -5,6 +5,8 @@ import sys
 import numpy as np
 import pytest
 
+import warp_psdr as psdr
+from warp_psdr.scene import describe_dict
 from warp_psdr.scene.obj_files import read_obj
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\nvn 1 0 0\n"
@@ -110,3 +112,48 @@ def test_no_step_of_python_for_each_line(tmp_path):
 
     calls(10)
     assert calls(2000) <= calls(20) + 20
+
+
+PAINT = "newmtl paint\nKd 1 0 0\n\tmap_Kd -s 1 1 1 wood.png\nmap_kd wood.png\nnewmtl other\nmap_Kd {}.png\n"
+GREY = {"type": "diffuse", "reflectance": 0.5}
+PICTURE = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": np.ones((2, 2, 3), np.float32)}}
+
+
+def notes(folder, library, **shape):
+    (folder / "a.obj").write_text(f"mtllib {library}\n{SQUARE}usemtl paint\nf 1/1/1 2/2/1 3/3/1\n")
+    scene = {"type": "scene", "s": {"type": "obj", "filename": "a.obj", **shape}, "camera": {"type": "perspective"}}
+    return [
+        note for note in describe_dict({**scene, "sky": {"type": "constant"}}, base=folder).notes if "map_Kd" in note
+    ]
+
+
+@pytest.mark.parametrize("library", ["paint.mtl", "my paint.mtl", "none.mtl paint.mtl"])
+def test_pictures_of_materials_are_noted_where_the_shape_has_none(tmp_path, library):
+    name = library if library != "none.mtl paint.mtl" else "paint.mtl"
+    (tmp_path / name).write_text(PAINT.format("stone"))
+    for shape in ({}, {"bsdf": GREY}):
+        (note,) = notes(tmp_path, library, **shape)
+        assert (
+            "and with them pictures such as 'wood.png' (map_Kd); name it in the shape's bsdf, {'type': 'diffuse'"
+            in note
+        )
+        assert "'filename': 'wood.png'" in note and "psdr.load_mesh" in note
+    assert not notes(tmp_path, library, bsdf=PICTURE)
+    assert not notes(tmp_path, library, bsdf={"type": "twosided", "bsdf": PICTURE})
+
+
+def test_materials_without_pictures_and_files_that_may_not_be_read_are_no_matter(tmp_path):
+    inside = tmp_path / "scene"
+    inside.mkdir()
+    (inside / "paint.mtl").write_text("newmtl paint\nKd 1 0 0\nmap_Ka a.png\nmap_Kd\n")
+    (tmp_path / "paint.mtl").write_text(PAINT)
+    for library in ("paint.mtl", "none.mtl", "../paint.mtl", ""):
+        assert not notes(inside, library)
+
+
+def test_a_mesh_is_no_scene(tmp_path):
+    (tmp_path / "vase.OBJ").write_text(SQUARE)
+    with pytest.raises(
+        ValueError, match=r"vase.OBJ': it is a mesh, and no scene; put it in one: .*psdr.load_mesh\('vase"
+    ):
+        psdr.load_file(tmp_path / "vase.OBJ")

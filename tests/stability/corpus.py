@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -242,7 +243,17 @@ def files(folder: Path) -> dict[str, list[bytes]]:
         "json": [JSON.encode()],
         "npz": [saved(folder)],
         "npy": [array()],
+        "neuralsdf": [network(np.savez), network(np.savez_compressed)],
     }
+
+
+def network(save: Callable[..., None]) -> bytes:
+    """Return the layers of a network, as NumPy saves them."""
+    rng = np.random.default_rng(3)
+    layers = {"layer0.weight": (4, 3), "layer0.bias": (4,), "layer1.weight": (1, 4), "layer1.bias": (1,)}
+    stream = io.BytesIO()
+    save(stream, **{name: rng.standard_normal(shape) for name, shape in layers.items()})
+    return stream.getvalue()
 
 
 def write_beside(folder: Path, whole: dict[str, list[bytes]]) -> None:

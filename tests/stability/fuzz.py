@@ -48,7 +48,7 @@ WORDS: dict[str, tuple[bytes, ...]] = {
     "npz": (b"PK\x01\x02", b"PK\x03\x04", b"PK\x05\x06",
             b"\x93NUMPY", b"'descr': '|O'", b"(10000000000,)", b"<f4", b"("),
 }  # fmt: skip
-WORDS |= {"glb": WORDS["gltf"], "json": WORDS["toml"], "npy": WORDS["npz"]}
+WORDS |= {"glb": WORDS["gltf"], "json": WORDS["toml"], "npy": WORDS["npz"], "neuralsdf": WORDS["npz"]}
 
 
 def damaged(suffix: str, whole: list[bytes], number: int) -> bytes:

@@ -11,7 +11,8 @@ from tests.stability.fuzz import CLEAR
 
 ROOT = Path(__file__).resolve().parents[2]
 KINDS = ("xml", "ply", "obj", "off", "stl", "glb", "gltf", "exr", "png", "jpg", "toml", "json", "npz", "npy")
-#: Inputs of a kind: 224 and 28,000 altogether.
+KINDS += ("neuralsdf",)  # a kind of .npz files
+#: Inputs of a kind: 120 and 30,000 altogether.
 FEW, MANY = 8, 2000
 #: Growth of the process over what reading the whole files took, MB: the inputs are of a few kilobytes.
 MEMORY = 64.0

@@ -86,6 +86,7 @@ class FitConfig:
         defaults: Values for the ``$parameters`` of the scene file.
         allow_outside: Folders in or below which the scene may read files beside its own, see ``psdr.load_file``. What
             the configuration itself names may lie anywhere: it is to be trusted like a command.
+        max_collisions: How many tentative collisions a flight through a medium may take, see ``psdr.load_file``.
         device: Warp device.
 
     Raises:
@@ -112,6 +113,7 @@ class FitConfig:
     integrator: Mapping[str, int | bool | str] = field(default_factory=dict)
     defaults: Mapping[str, str | int | float] = field(default_factory=dict)
     allow_outside: tuple[Path, ...] = ()
+    max_collisions: float = 1e7
     device: str = "cpu"
 
     def __post_init__(self):
@@ -150,6 +152,7 @@ class FitConfig:
             raise TypeError(f"fit config: mask_updates: got {self.mask_updates!r}, expected true or false")
         if not isinstance(self.device, str):
             raise TypeError(f"fit config: device: got {self.device!r}, expected a name such as 'cpu' or 'cuda:0'")
+        put("max_collisions", _positive("max_collisions", self.max_collisions))
         put("integrator", _integrator(self.integrator))
         put("defaults", _defaults(self.defaults))
         folders = _list("allow_outside", self.allow_outside)

@@ -161,8 +161,8 @@ def fit(
     if iterations is not None:
         config = replace(config, iterations=iterations)
     path = config.output / CHECKPOINT
-    if path.exists() and not (resume or overwrite):
-        raise ValueError(f"{path} exists: resume it (--resume), start again (--overwrite), or choose another output")
+    may_exist = resume or overwrite
+    _require_free(path, may_exist)
     problem = load_problem(config)
     adam = optim.Adam(
         problem.params,
@@ -172,7 +172,14 @@ def fit(
     )
     config.output.mkdir(parents=True, exist_ok=True)
     with held(config.output):
+        _require_free(path, may_exist)  # a run may have ended there since
         return _fit(problem, adam, path, resume=resume)
+
+
+def _require_free(path: Path, may_exist: bool) -> None:
+    """Raise if there is a checkpoint that nobody wants to continue, or to lose."""
+    if path.exists() and not may_exist:
+        raise ValueError(f"{path} exists: resume it (--resume), start again (--overwrite), or choose another output")
 
 
 def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> FitResult:
@@ -224,7 +231,13 @@ def load_problem(config: FitConfig) -> Problem:
     for name, file in (("scene", config.scene), *((f"targets[{i}]", file) for i, file in enumerate(config.targets))):
         if not os.path.isfile(file):
             raise FileNotFoundError(f"fit config: {name}: {file} does not exist")
-    scene = psdr.load_file(config.scene, device=config.device, allow_outside=config.allow_outside, **config.defaults)
+    scene = psdr.load_file(
+        config.scene,
+        device=config.device,
+        allow_outside=config.allow_outside,
+        max_collisions=config.max_collisions,
+        **config.defaults,
+    )
     sensors = scene.description.sensors
     targets = []
     for sensor, file in zip(config.views, config.targets, strict=True):
@@ -309,7 +322,13 @@ def read_target(file: Path, shape: tuple[int, int]) -> np.ndarray:
     if image.shape[:2] != shape:
         height, width = image.shape[:2]
         raise ValueError(f"target {file}: got {width} x {height} pixels, expected the film's {shape[1]} x {shape[0]}")
-    # Grey, or colour, either with or without alpha, which is dropped.
+    if image.shape[2] in (2, 4) and (image[..., -1] < 1.0).any():
+        raise ValueError(
+            f"target {file}: {int((image[..., -1] < 1.0).sum())} pixels are transparent (alpha below 1), and a fit "
+            "compares all of them; put the background behind them, image[..., :3] * alpha + background * (1 - alpha), "
+            "and write the target without alpha"
+        )
+    # Grey, or colour, either with or without alpha.
     image = np.broadcast_to(image[..., :1], (*shape, 3)) if image.shape[2] <= 2 else image[..., :3]
     if not np.isfinite(image).all():
         bad = int((~np.isfinite(image)).any(axis=-1).sum())
@@ -389,7 +408,12 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
             raise ValueError(f"the losses have shape {losses.shape}, or are not finite")
         history = losses.tolist()
         for name in problem.config.parameters:
-            problem.params[name] = arrays[f"parameter/{name}"].astype(np.float32)
+            found = arrays[f"parameter/{name}"].astype(np.float32)
+            problem.params[name] = found
+            low, high = problem.params.bounds(name)
+            if found.min() < low or found.max() > high:
+                ends = f"from {found.min():.4g} to {found.max():.4g}"
+                raise ValueError(f"{name!r} has values {ends}, expected them in [{low:g}, {high:g}]")
             if problem.scene.origin.any():
                 stored = arrays[f"stored/{name}"]
                 if stored.shape != problem.stored(name).shape or not np.isfinite(stored).all():

@@ -235,6 +235,7 @@ def _boundary(
     if integrator.boundary is None:
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
     term = choose(scene, config, integrator, names, moving)
+    transient.refuse_boundary(scene, config, integrator, names, sensor)
     reparametrised.refuse(scene, config, integrator, term, names, sensor)
     reparametrised.prepare(scene, term)
     lines = [("boundary term", term.label, "; ".join(moving))]

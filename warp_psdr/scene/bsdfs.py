@@ -50,6 +50,9 @@ IORS = {
     "amber": 1.55, "pet": 1.5750, "diamond": 2.419,
 }  # fmt: skip
 
+#: Of a difference of two numbers near 1, relative to a thousandth.
+_ROUNDING = 1e-6
+
 
 def model_of(bsdf: BsdfDescription) -> Model:
     """Return the declaration of a scattering model."""
@@ -265,7 +268,7 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
             f"int_ior / ext_ior is {inside / outside:g}",
             f"a '{props.type}' takes ratios from {parameter.low:g} to {parameter.high:g}",
         )
-    if abs(inside / outside - 1.0) <= parameter.gap:
+    if _near_one(inside / outside, parameter.gap):
         raise error(
             props.where,
             f"int_ior / ext_ior is {inside / outside:g}",
@@ -276,6 +279,11 @@ def _relative_index(props: Properties, parameter: RelativeIndex) -> dict[str, Te
     # Mitsuba keeps the ratio as a number, not as a texture, so its name has no ".value".
     eta = dataclasses.replace(constant(f"{props.path}.eta", inside / outside), plain=True)
     return {value.name: eta for value in parameter.values}
+
+
+def _near_one(ratio: float, gap: float) -> bool:
+    """Return whether a ratio is nearer to 1 than the gap, or 1 where that is 0; 1.001 is a thousandth away."""
+    return abs(ratio - 1.0) < gap * (1.0 - _ROUNDING) or (gap == 0.0 and ratio == 1.0)
 
 
 def _specular_index(props: Properties, parameter: SpecularIndex) -> dict[str, TextureDescription | float]:
@@ -289,11 +297,11 @@ def _specular_index(props: Properties, parameter: SpecularIndex) -> dict[str, Te
         number = props.number("specular", parameter.default, minimum=0.0, maximum=1.0)
         props.take("eta")
         eta = 2.0 / (1.0 - np.sqrt(0.08 * number)) - 1.0
-    if abs(eta - 1.0) <= parameter.gap:
+    if _near_one(eta, parameter.gap):
         raise error(
             props.where,
             f"{name} {number:g}, an index of refraction of {eta:g}, beside 'spec_trans'",
-            f"what is refracted needs one that differs from 1 by more than {parameter.gap:g}",
+            f"what is refracted needs one that differs from 1 by {parameter.gap:g} or more",
         )
     listed = dataclasses.replace(constant(f"{props.path}.{name}", number), plain=True)
     return {"ior": listed, "specular": 0.0} if name == "eta" else {"ior": 0.0, "specular": listed}

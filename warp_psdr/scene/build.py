@@ -35,7 +35,6 @@ from warp_psdr.scene.sky_model import TURBIDITIES
 from warp_psdr.scene.sunsky import SkyRecord
 from warp_psdr.scene.tables import PlacedTable
 from warp_psdr.scene.texture_records import TextureRecords, reads_mesh
-from warp_psdr.scene.volume_pose import box_around
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (
@@ -118,10 +117,7 @@ class Builder:
         self._number_models()
         for emitter in description.emitters:
             self._emitter(emitter)
-        around = box_around(description.shapes)
-        self._media = MediaRecords(
-            self.layout, self.textures, self.texture_ranges, self.volume_poses, description.origin, around
-        )
+        self._media = MediaRecords(self.layout, self.textures, self.texture_ranges, self.volume_poses, description)
         self.media = self._media.records  #: structs.Medium
         self.medium_names = self._media.names
         self.super_grids = self._media.super_grids

@@ -320,6 +320,7 @@ class SceneDescription:
     #: (3,) float64: what was subtracted from all positions, those of matrices included; see ``origin``.
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties
+    max_collisions: float = 1e7  #: tentative collisions that a flight through a medium may take, see ``collisions``
 
     def views(self, sensor: Sensor) -> Views:
         """Return what a call's ``sensor`` names.

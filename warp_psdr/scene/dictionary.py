@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import os
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,9 @@ from . import bsdfs, emitters, groups, sensors, sunsky, textures
 from .aovs import parse_aovs
 from .context import Context, Outside
 from .description import SceneDescription
-from .errors import SceneError, error
+from .errors import SceneError, error, limit
 from .medium_notes import note_media
+from .nesting import DEPTH_MAX, DICTIONARIES_MAX, check_nesting
 from .origin import find_origin
 from .plugins import Properties, category_of
 
@@ -53,7 +56,8 @@ def describe(scene: dict, where: str, context: Context) -> SceneDescription:
     """
     if scene.get("type") != "scene":
         raise error(where, f"the outermost type is {scene.get('type')!r}", "wrap the scene in {'type': 'scene', ...}")
-    _register(scene, where, context, [])
+    _register(scene, where, context, [], itertools.count(1))
+    check_nesting(scene, where, context)
     _survey(scene, where, context)
     again = context.fresh()
     result = _build(scene, where, context)
@@ -211,10 +215,19 @@ def _moment(props: Properties, context: Context) -> dict[str, Any]:
     return _integrator(nested[0][1], nested[0][2], context)
 
 
-def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -> None:
-    """Collect the names that references can use: keys of the scene, and every ``id``."""
+def _register(node: dict, where: str, context: Context, open_nodes: list[int], count: Iterator[int]) -> None:
+    """Collect the names that references can use: keys of the scene, and every ``id``; ``count``: of dictionaries.
+
+    Raises:
+        ValueError: If a name is taken, a dictionary contains itself, or there are too many or too deep ones.
+    """
     if id(node) in open_nodes:
         raise error(where, f"the dictionary of this '{node.get('type')}' contains itself", "break the cycle")
+    if len(open_nodes) >= DEPTH_MAX:
+        raise limit(where, f"dictionaries are nested more than {DEPTH_MAX} deep", "nest fewer")
+    if next(count) > DICTIONARIES_MAX:
+        problem = f"more than {DICTIONARIES_MAX} dictionaries, each counted wherever it stands"
+        raise limit(where, problem, "refer to it by its id: {'type': 'ref', 'id': ...}")
     for key, value in node.items():
         if not isinstance(value, dict):
             continue
@@ -227,7 +240,7 @@ def _register(node: dict, where: str, context: Context, open_nodes: list[int]) -
             if isinstance(name, str) and name and context.named.setdefault(name, value) is not value:
                 other = getattr(context.named[name], "where", "") or "another plugin"
                 raise error(place, f"the id '{name}' is taken by {other}", "give every plugin an id of its own")
-        _register(value, place, context, [*open_nodes, id(node)])
+        _register(value, place, context, [*open_nodes, id(node)], count)
 
 
 def _check(result: SceneDescription, where: str) -> None:

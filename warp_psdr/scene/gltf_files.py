@@ -1,7 +1,8 @@
-"""glTF files without what is not read, their sizes checked, for trimesh's reader.
+"""glTF files without what is not read, their sizes checked and their buffers found, for trimesh's reader.
 
 That reader makes every array that an accessor declares, whether data follow or not, places a mesh as often as nodes
-name it, and decodes pictures of materials. glTF 2.0, sections 3.6.2 (accessors) and 4.4 (binary files).
+name it, decodes pictures of materials, and in some versions follows URIs to any file of the machine. glTF 2.0, sections
+3.6.1 (buffers), 3.6.2 (accessors) and 4.4 (binary files).
 """
 
 from __future__ import annotations
@@ -9,8 +10,10 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from urllib.parse import unquote
 
 #: Numbers of all accessors, and of all placed meshes: 2 GB as float32.
 _NUMBERS_MAX = 1 << 29
@@ -65,3 +68,31 @@ def _size(accessor: dict) -> int:
 def _mesh_size(mesh: dict, sizes: list[int]) -> int:
     used = [i for part in mesh["primitives"] for i in (*part["attributes"].values(), part.get("indices", 0))]
     return sum(sizes[i] for i in used)
+
+
+class Buffers:
+    """The files that buffers name, by URI: what trimesh's readers take for a resolver.
+
+    Args:
+        find: Returns the existing file that a name stands for, or raises.
+    """
+
+    def __init__(self, find: Callable[[str], Path]):
+        self._find = find
+        self._read: dict[Path, bytes] = {}
+
+    def __getitem__(self, uri: str) -> bytes:
+        """Return the content of a file; each is read once, however often and under whatever names it is asked for.
+
+        Raises:
+            ValueError: If the file may not be read, or the URI holds data in another form than base64.
+            FileNotFoundError: If there is no such file.
+        """
+        if uri.startswith("data:"):
+            raise ValueError("a buffer's data URI is not in base64")
+        file = self._find(unquote(uri)).resolve()
+        if file not in self._read:
+            self._read[file] = file.read_bytes()
+        return self._read[file]
+
+    get = __getitem__

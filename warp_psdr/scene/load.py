@@ -20,7 +20,9 @@ class SceneWarning(UserWarning):
     """What is ignored, repaired or doubtful in a scene."""
 
 
-def load_file(path, *, device: str | wp.Device | None = None, allow_outside=False, **defaults) -> Scene:
+def load_file(
+    path, *, device: str | wp.Device | None = None, allow_outside=False, max_collisions=1e7, **defaults
+) -> Scene:
     """Load a Mitsuba 3 scene file.
 
     Args:
@@ -29,6 +31,8 @@ def load_file(path, *, device: str | wp.Device | None = None, allow_outside=Fals
         allow_outside: where the files that the scene names may lie beside the scene's own folder and those below it: a
             folder (and below), several, or True: anywhere, for scenes that you trust. Wherever a name leads to, by
             "..", as an absolute name or by a symbolic link, other files are refused.
+        max_collisions: how many tentative collisions a flight through a medium may take, about 10 ns each. One dense
+            voxel in thin smoke can cost hours; such media are refused, unless this is raised.
         **defaults: values for the file's ``$parameters``.
 
     Returns:
@@ -37,16 +41,25 @@ def load_file(path, *, device: str | wp.Device | None = None, allow_outside=Fals
     Raises:
         FileNotFoundError: the file, or one that it names, does not exist.
         ValueError: the file is malformed or uses what is not supported; the message names the place and the remedy.
+            A medium takes more than ``max_collisions``.
 
     Warns:
         SceneWarning: something in the scene is ignored, repaired or doubtful.
     """
     from warp_psdr.scene.xml import describe_file
 
-    return _load(describe_file(path, allow_outside=allow_outside, **defaults), device)
+    return _load(describe_file(path, allow_outside=allow_outside, **defaults), device, max_collisions)
 
 
-def load_string(xml: str, *, device: str | wp.Device | None = None, base=None, allow_outside=None, **defaults) -> Scene:
+def load_string(
+    xml: str,
+    *,
+    device: str | wp.Device | None = None,
+    base=None,
+    allow_outside=None,
+    max_collisions=1e7,
+    **defaults,
+) -> Scene:
     """Load a Mitsuba 3 scene from XML text; see ``load_file``.
 
     Without ``base``, file names start from the current folder and, the text being the program's own, may lead anywhere.
@@ -57,10 +70,10 @@ def load_string(xml: str, *, device: str | wp.Device | None = None, base=None, a
 
     if allow_outside is None:
         allow_outside = base is None
-    return _load(describe_string(xml, base=base, allow_outside=allow_outside, **defaults), device)
+    return _load(describe_string(xml, base=base, allow_outside=allow_outside, **defaults), device, max_collisions)
 
 
-def load_dict(scene: dict, *, device: str | wp.Device | None = None) -> Scene:
+def load_dict(scene: dict, *, device: str | wp.Device | None = None, max_collisions=1e7) -> Scene:
     """Load a scene from Mitsuba 3's dictionary form (plain Python and NumPy values).
 
     Relative file names start from the current folder; the names are the program's own, so any file may be named. See
@@ -68,13 +81,16 @@ def load_dict(scene: dict, *, device: str | wp.Device | None = None) -> Scene:
     """
     from warp_psdr.scene.dictionary import describe_dict
 
-    return _load(describe_dict(scene), device)
+    return _load(describe_dict(scene), device, max_collisions)
 
 
-def _load(description: SceneDescription, device: str | wp.Device | None) -> Scene:
+def _load(description: SceneDescription, device: str | wp.Device | None, max_collisions: float = 1e7) -> Scene:
     """Build a scene, and warn of its notes at the line that loads it."""
     from warp_psdr.scene.scene import Scene
 
+    if isinstance(max_collisions, bool) or not isinstance(max_collisions, int | float) or not max_collisions > 0.0:
+        raise ValueError(f"max_collisions: got {max_collisions!r}, expected a positive number")
+    description.max_collisions = float(max_collisions)
     scene = Scene(description, device, (_image_ahead,))
     notes = scene.description.notes
     for note in notes[:MOST_WARNINGS]:

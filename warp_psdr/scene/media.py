@@ -59,10 +59,12 @@ def take_sides(props: Properties, bsdf: BsdfDescription) -> dict[str, MediumDesc
         path = f"{props.path}.{key}_medium"
         found[key] = _nested(props, key, node, where, path)
     model = model_of(bsdf)
-    if any(found.values()) and not lets_through(model) and not model.has_null:
+    # What stands in a medium names it as its exterior, whether light passes its surface or not; a sheet on both sides.
+    hidden = found["interior"] is not None and found["interior"] is not found["exterior"]
+    if hidden and not lets_through(model) and not model.has_null:
         props.context.note(
-            f"{props.where}: the shape bounds a medium, but its BSDF ('{bsdf.model}') lets no light through; give it "
-            "{'type': 'null'} if there is no surface"
+            f"{props.where}: the shape has a medium inside, but its BSDF ('{bsdf.model}') lets no light through; give "
+            "it {'type': 'null'} if there is no surface, or name the medium 'exterior' if the shape stands in it"
         )
     return found
 

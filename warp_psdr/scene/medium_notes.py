@@ -139,7 +139,9 @@ def _about_lights(scene: SceneDescription, interfaces: Interfaces) -> list[str]:
             place = e.position if e.to_world is None else e.to_world[:3, 3]
             assert place is not None
             places.append((e, place))
-    places += [(s.emitter, s.vertices[s.faces[0]].mean(axis=0)) for s in scene.shapes if s.emitter is not None]
+    # Shapes without triangles have the corners of a box around them.
+    shining = [(s.emitter, s.vertices[s.faces[0] if len(s.faces) else ...]) for s in scene.shapes if s.emitter]
+    places += [(light, corners.mean(axis=0)) for light, corners in shining]
     for light, place in places:
         if light.medium is None:
             continue

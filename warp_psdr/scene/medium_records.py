@@ -12,14 +12,16 @@ from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.structs import Medium, Texture
 from warp_psdr.kernels.vertex import MediaConfig
 
+from .collisions import Tracking, area_of, null_collisions, too_many
+from .errors import SceneError
 from .layout import MEDIUM, Layout
 from .media import MOST_G
 from .origin import moved
 from .super_grid import FlakeCheck, Follower, PhaseTable, SuperGrid, flake_areas, integrals, super_grid
-from .volume_pose import VolumePose, inverse_of
+from .volume_pose import VolumePose, box_around, extent_of, inverse_of
 
 if TYPE_CHECKING:
-    from .description import MediumDescription, PhaseDescription, VolumeDescription
+    from .description import MediumDescription, PhaseDescription, SceneDescription, VolumeDescription
 
 PHASES = {
     "isotropic": c.PHASE_ISOTROPIC,
@@ -39,8 +41,7 @@ class MediaRecords:
         textures: Records of the scene's textures, which grids join.
         texture_ranges: Flat (offset, size) of their values.
         poses: Of the scene's volumes, which those of grids join.
-        origin: (3,) float64: where the device's coordinates start.
-        around: (4, 4): a box around all that rays meet, which a homogeneous medium fills where it is tracked.
+        description: Of the scene.
 
     Attributes:
         records: ``structs.Medium``, by number.
@@ -55,8 +56,7 @@ class MediaRecords:
         textures: list,
         texture_ranges: list[tuple[int, int]],
         poses: list[VolumePose],
-        origin: np.ndarray,
-        around: np.ndarray,
+        description: SceneDescription,
     ):
         self.records: list = []
         self.names: list[str] = []
@@ -66,8 +66,11 @@ class MediaRecords:
         self._textures = textures
         self._texture_ranges = texture_ranges
         self._poses = poses
-        self._origin = origin
-        self._around = around
+        self._origin = description.origin
+        #: A box around all that rays meet, which a homogeneous medium fills where it is tracked.
+        self._around = box_around(description.shapes)
+        self._extent = extent_of(description.shapes)
+        self._most = description.max_collisions
         self._numbers: dict[int, int] = {}
         self._phases: set[int] = set()  # PHASE_* that occur, those in blends included
 
@@ -112,7 +115,32 @@ class MediaRecords:
                 place, channels = self._grid(m.emission, place), GRID
             record.emission, record.emission_channels = place, channels
         record.phase, record.g = self._phase(m.phase)
+        if record.sigma_t_channels == GRID:
+            self._bound(m, record.scale)
         return record
+
+    def _bound(self, m: MediumDescription, scale: int) -> None:
+        """Bound what flights through a tracked medium cost, on load and after edits; ``scale``: its flat offset.
+
+        Raises:
+            ValueError: They take too many collisions.
+        """
+        v, flakes, grid = m.sigma_t, m.phase.flakes, self.super_grids[-1]
+        to_world = self._around if v.to_world is None else v.to_world
+        factor = m.scale if flakes is None else m.scale * area_of(flakes.value)
+        values = v.value.reshape(grid.shape)
+        count = null_collisions(values, v.wrap, factor, to_world, self._extent)
+        if count > self._most:
+            raise SceneError(too_many(m.path, v.parameter, factor * float(values.max()), count))
+        known = self._layout.parameters
+        pose = known[_pose_of(v)].offset if _pose_of(v) in known else -1
+        matrices = (0, 0) if flakes is None else (known[flakes.parameter].offset, flakes.value.size)
+        names = [v.parameter, f"{m.path}.scale", _pose_of(v), "" if flakes is None else flakes.parameter]
+        self.followers += [
+            Tracking(name, m.path, grid, scale, pose, to_world, matrices, self._extent, self._most)
+            for name in names
+            if name in known
+        ]
 
     def _phase(self, p: PhaseDescription) -> tuple[int, int]:
         """Return the kind of a phase function (PHASE_*), and where its values are (``Medium.g``)."""
@@ -185,7 +213,7 @@ class MediaRecords:
         record.wrap = {"repeat": c.WRAP_REPEAT, "mirror": c.WRAP_MIRROR, "clamp": c.WRAP_CLAMP}[v.wrap]
         pose = moved(to_world, self._origin)
         if placed:
-            name = f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"
+            name = _pose_of(v)
             self._poses.append(VolumePose(name, self._layout.add(name, pose, MEDIUM + POSE, placed=True)))
         record.to_uv = self._layout.add_values(inverse_of(pose))
         if tracked:
@@ -195,3 +223,8 @@ class MediaRecords:
         self._textures.append(record)
         self._texture_ranges.append((offset, v.value.size))
         return len(self._textures) - 1
+
+
+def _pose_of(v: VolumeDescription) -> str:
+    """Return the name of a volume's pose, where that is a parameter."""
+    return f"{v.parameter.removesuffix('.data').removesuffix('.value.value')}.to_world"

@@ -11,7 +11,8 @@ from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 
-from .errors import error
+from .context import Context
+from .errors import SceneError, error
 from .meshes import MeshData, fans, vertex_normals
 from .obj_files import read_obj
 from .ply_files import read_text_ply
@@ -25,7 +26,9 @@ _COLOR_NAMES = {"r": 0, "g": 1, "b": 2, "a": 3, "red": 0, "green": 1, "blue": 2,
 _REEXPORT = "export the mesh again"
 
 
-def read_mesh(kind: str, file: Path, where: str, note: Any, index: int = 0) -> MeshData:
+def read_mesh(
+    kind: str, file: Path, where: str, note: Any, index: int = 0, find: Callable[[str], Path] | None = None
+) -> MeshData:
     """Read a mesh file; texture coordinates are as the file has them.
 
     Args:
@@ -34,12 +37,17 @@ def read_mesh(kind: str, file: Path, where: str, note: Any, index: int = 0) -> M
         where: Place in the scene, for messages.
         note: Called with remarks for the user.
         index: Number of the mesh in the file ("serialized").
+        find: Returns the existing file that a name in the file stands for, or raises; None: in or below its folder.
 
     Raises:
-        ValueError: If the file cannot be read.
+        ValueError: If the file, or one that it names, cannot be read.
+        FileNotFoundError: If a file that it names does not exist.
     """
-    readers = {"obj": read_obj, "ply": _read_ply, "gltf": _read_gltf, "glb": _read_gltf}
+    readers = {"obj": read_obj, "ply": _read_ply}
     place = f"{where}, file '{file}'"
+    if kind in ("gltf", "glb"):
+        beside = Context(str(file), file.parent)
+        return _read_gltf(file, place, note, find or (lambda name: beside.file(name, place)))
     if kind == "serialized":
         return read_serialized(file, index, place, note)
     if kind in readers:
@@ -60,6 +68,8 @@ def _guarded(load: Callable[[BinaryIO], T], file: Path, place: str) -> T:
         # NaN among whole numbers is an error; too large numbers become infinite, which the checks report.
         with file.open("rb") as stream, np.errstate(over="ignore", invalid="raise"):
             return load(stream)
+    except (SceneError, FileNotFoundError):  # of a file that this one names
+        raise
     except Exception as problem:
         reason = str(problem) or type(problem).__name__
         raise error(place, f"the file is damaged or of another format ({reason})", _REEXPORT) from None
@@ -159,17 +169,16 @@ def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
         return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
 
 
-def _read_gltf(file: Path, place: str, note: Any) -> MeshData:
+def _read_gltf(file: Path, place: str, note: Any, find: Callable[[str], Path]) -> MeshData:
     """Read all meshes of a glTF file, placed by its nodes and joined; materials are left out."""
     from trimesh.exchange import gltf
-    from trimesh.resolvers import FilePathResolver
     from trimesh.scene.transforms import SceneGraph
 
-    from .gltf_files import geometry_only
+    from .gltf_files import Buffers, geometry_only
 
     def load(stream: BinaryIO) -> MeshData:
         read = gltf.load_glb if file.suffix.lower() == ".glb" else gltf.load_gltf
-        values = read(geometry_only(file), resolver=FilePathResolver(str(file)))
+        values = read(geometry_only(file), resolver=Buffers(find))
         graph = SceneGraph(base_frame=values.get("base_frame", "world"))
         for edge in values.get("graph", ()):
             graph.update(**edge)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_psdr.arrays import read_archive
 from warp_psdr.kernels.primitive.network import (
     BLOCK,
     CELLS_WORD,
@@ -20,7 +21,7 @@ from warp_psdr.kernels.primitive.network import (
 )
 
 from .description import Network, ShapeDescription
-from .errors import SceneError, error
+from .errors import error
 from .layout import SHAPE_GRID, Layout, Parameter
 from .network_bounds import cells_of, single, steepness, values_of
 
@@ -34,6 +35,9 @@ NEURALSDF = "neuralsdf"
 INSTEAD = "sample it at the nodes of a 'sdfgrid', or extract its triangles (psdr.sdf.to_mesh)"
 #: Most sines and cosines: 2^9 pi x is resolved by float32.
 MOST_FREQUENCIES = 10
+#: Bytes of a file's arrays: many times what the largest network takes in float64.
+MOST_BYTES = 1 << 26
+_SAVE = "save its layers with numpy.savez"
 #: Cells of the box along an axis that may be asked for.
 CELLS = (16, 32, 64, 128)
 #: Values up to which float32 sums of squares do not overflow.
@@ -96,11 +100,10 @@ def _arrays(props: Properties) -> tuple[dict[str, Any], dict[str, str]]:
     if given:
         raise error(props.where, f"got filename and {given[0]}", "give the layers in one place")
     try:
-        with np.load(file, allow_pickle=False) as held:
-            found = {key: held[key] for key in held.files if _NAME.fullmatch(key)}
-            other = [key for key in held.files if key not in found]
-    except (OSError, ValueError, EOFError, AttributeError, TypeError) as problem:
-        raise SceneError(f"{place}: '{file.name}' is no .npz file that can be read ({problem})") from None
+        found = read_archive(file, MOST_BYTES)
+    except ValueError as problem:
+        raise error(place, f"'{file.name}' is no .npz file that can be read ({problem})", _SAVE) from None
+    other = [key for key in found if not _NAME.fullmatch(key)]
     if other:
         raise error(place, f"'{file.name}' holds '{other[0]}'", "name its arrays layer0.weight, layer0.bias, ...")
     return found, {key: f"{place}, array '{key}'" for key in found}

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from . import bsdfs, emitters, media, sensors
+from .context import FileName
 from .curves import INSTEAD as TUBES
 from .curves import curve_shape, is_curves, take_curves
 from .description import Curves, EmitterDescription, Network, SdfGrid, ShapeDescription
@@ -14,6 +15,7 @@ from .errors import ReportedError, error
 from .exact import EXACT, exact_shape, is_exact
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
+from .mtl_pictures import first_picture
 from .network import INSTEAD as GRIDDED
 from .network import NEURALSDF, read_network
 from .origin import collapses, moved
@@ -24,6 +26,9 @@ from .textures import check_attribute
 from .transforms import Transform, transform_normals, transform_points
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
     from .context import Context
 
 #: A mesh has a pose where its vertices are no farther than so many of its extents from the origin of its own
@@ -56,6 +61,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
     emitter = _light(props, lights)
+    if geometry is not None and props.type == "obj":
+        _note_picture(props, bsdf)
     sides = media.take_sides(props, bsdf)
     meter = None
     if meters:
@@ -173,7 +180,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         raise error(props.where, f"a '{props.type}' without 'filename'", "name the mesh file")
     file = props.context.file(name, props.place("filename"))
     index = props.integer("shape_index", 0, minimum=0) if props.type == "serialized" else 0
-    data = read_mesh(props.type, file, props.where, props.context.note, index)
+    data = read_mesh(props.type, file, props.where, props.context.note, index, _finder(props, file))
     props.context.count(data.vertices.size + data.faces.size, props.where)
     # Only serialized meshes have no such parameter.
     if (
@@ -276,6 +283,25 @@ def _bsdf(props: Properties, *, shines: bool) -> bsdfs.BsdfDescription:
     return props.context.attempt(
         lambda: bsdfs.build(node, where, f"{props.path}.bsdf", props.context, shared=shared), plain
     )
+
+
+def _finder(props: Properties, file: Path) -> Callable[[str], Path]:
+    """Return what finds the files that a mesh file names, as all others of a scene are found."""
+    return lambda name: props.context.file(FileName(name, file.parent), f"{props.where}, file '{file}'")
+
+
+def _note_picture(props: Properties, bsdf: bsdfs.BsdfDescription) -> None:
+    """Note that the pictures of a file's own materials are left out, unless the shape has one of its own."""
+    if any(leaf.kind == "bitmap" for side in bsdf.sides for t in side.textures.values() for leaf in t.leaves):
+        return
+    file = props.context.file(props.node["filename"], props.place("filename"))
+    name = first_picture(file, _finder(props, file))
+    if name:
+        props.context.note(
+            f"{props.where}: the materials of the mesh are ignored, and with them pictures such as '{name}' (map_Kd); "
+            "name it in the shape's bsdf, {'type': 'diffuse', 'reflectance': {'type': 'bitmap', 'filename': "
+            f"'{name}'}}}}, or take the materials over with psdr.load_mesh"
+        )
 
 
 def _light(props: Properties, nested: list[tuple[str, dict, str]]) -> EmitterDescription | None:

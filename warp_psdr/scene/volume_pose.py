@@ -57,12 +57,22 @@ def inverse_of(pose: np.ndarray) -> np.ndarray:
 
 def box_around(shapes: Sequence[ShapeDescription]) -> np.ndarray:
     """Return the (4, 4) from the unit cube to a box that is far larger than a scene, with the scene in its middle."""
-    points = np.concatenate([s.vertices for s in shapes] or [np.zeros((1, 3))]).astype(np.float64)
-    low, high = points.min(axis=0), points.max(axis=0)
-    side = AROUND * (float(np.linalg.norm(high - low)) or 1.0)
+    low, high = _ends(shapes)
+    side = AROUND * (extent_of(shapes) or 1.0)
     box = np.diag([side, side, side, 1.0])
     box[:3, 3] = 0.5 * (low + high) - 0.5 * side
     return box
+
+
+def extent_of(shapes: Sequence[ShapeDescription]) -> float:
+    """Return the diagonal of a box that holds all shapes."""
+    low, high = _ends(shapes)
+    return float(np.linalg.norm(high - low))
+
+
+def _ends(shapes: Sequence[ShapeDescription]) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([s.vertices for s in shapes] or [np.zeros((1, 3))]).astype(np.float64)
+    return points.min(axis=0), points.max(axis=0)
 
 
 def pull_poses(scene: Scene, names: list[str], grad: wp.array) -> None:

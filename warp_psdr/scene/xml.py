@@ -25,6 +25,8 @@ _ELEMENTS_MAX = 1_000_000
 _LETTERS_MAX = 1 << 16
 #: Parameters of a scene: each is looked for in every attribute with a dollar sign.
 _PARAMETERS_MAX = 1000
+#: What is often given in place of a scene.
+_MESHES = (".obj", ".ply", ".gltf", ".glb", ".stl", ".off", ".serialized")
 _OTHER_TAGS = ("transform", "ref", "include", "alias", "default", "path")
 
 
@@ -49,6 +51,12 @@ def describe_file(path: str | os.PathLike[str], *, allow_outside: Outside = Fals
     if not os.path.isfile(file):
         what = "it is a folder" if os.path.isdir(file) else "check the name"
         raise missing_file("load_file", file, f"{what}; expected a Mitsuba scene (.xml)")
+    if file.suffix.lower() in _MESHES:
+        raise error(
+            f"load_file: '{file}'",
+            "it is a mesh, and no scene",
+            f"put it in one: psdr.load_dict({{'type': 'scene', 'mesh': psdr.load_mesh({file.name!r}), ...}})",
+        )
     context = Context(str(file), file.resolve().parent, allow_outside)
     return _describe(file.read_bytes(), file.name, file.resolve(), context, defaults)
 
