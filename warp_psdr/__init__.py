@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from warp_psdr import fit, image_io, plots, sdf
     from warp_psdr import torch as torch
     from warp_psdr.image_io import read_image, write_image
+    from warp_psdr.scene.own_meshes import load_mesh, preview_scene
     from warp_psdr.scene.scene import Scene
 
 __version__ = "0.1.0"
@@ -64,12 +65,14 @@ __all__ = [
     "invalid_samples",
     "load_dict",
     "load_file",
+    "load_mesh",
     "load_string",
     "losses",
     "methods",
     "optim",
     "plan",
     "plots",
+    "preview_scene",
     "read_image",
     "render",
     "render_aov",
@@ -91,6 +94,8 @@ __all__ = [
 _LAZY_MODULES = ("fit", "image_io", "plots", "sdf", "torch")
 _LAZY_NAMES = {
     "Scene": "warp_psdr.scene.scene",
+    "load_mesh": "warp_psdr.scene.own_meshes",
+    "preview_scene": "warp_psdr.scene.own_meshes",
     "read_image": "warp_psdr.image_io",
     "write_image": "warp_psdr.image_io",
 }
