@@ -141,6 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     view.add_argument("--outside", action="store_true", help="look from outside instead of through the sensor")
     view.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture instead of a window")
+    view.add_argument("--html", type=Path, metavar="FILE.html", help="write a page for browsers instead of a window")
     return parser
 
 
@@ -362,19 +363,24 @@ def _view(arguments: argparse.Namespace) -> int:
         fields[name] = read_array(file)
     if arguments.screenshot is not None:
         _prepare(arguments.screenshot, ".png")
+    if arguments.html is not None:
+        _prepare(arguments.html, ".html", ".htm")
     scene, _ = _load(arguments)
-    plotter = view(
+    drawn = view(
         scene,
         psdr.traverse(scene),
         fields=fields or None,
         screenshot=arguments.screenshot,
         camera=None if arguments.outside else arguments.sensor,
     )
-    if arguments.screenshot is None:
-        plotter.show()
-    else:
-        print(f"wrote {arguments.screenshot}")
-    plotter.close()
+    if arguments.html is not None:
+        drawn.html(arguments.html)
+    written = [path for path in (arguments.screenshot, arguments.html) if path is not None]
+    for path in written:
+        print(f"wrote {path}")
+    if not written:
+        drawn.show()
+    drawn.close()
     return 0
 
 
