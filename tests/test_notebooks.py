@@ -1,8 +1,10 @@
 """What notebooks show of images, plans, parameters and reports."""
 
 import io
+import json
 import math
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -145,3 +147,22 @@ def test_reports_keep_their_columns() -> None:
         norm2_error={"image": 0.1}, seen=("image",), spread=0.1,
     )  # fmt: skip
     assert "".join(Cells(report._repr_html_()).texts) == str(report)
+
+
+NOTEBOOKS = sorted((Path(__file__).resolve().parents[1] / "docs" / "notebooks").glob("*.ipynb"))
+
+
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+def test_notebooks_are_kept_without_outputs(file: Path) -> None:
+    """The documentation's build runs them: what is shown was computed by the code of that build."""
+    notebook = json.loads(file.read_text(encoding="utf-8"))
+    code = [cell for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    assert len(code) >= 4
+    for cell in code:
+        assert cell["outputs"] == [] and cell["execution_count"] is None
+        compile("".join(cell["source"]), file.name, "exec")
+        # Longer lines do not fit the page.
+        assert max(map(len, "".join(cell["source"]).splitlines())) <= 90
+    index = (file.parents[1] / "index.md").read_text(encoding="utf-8")
+    assert f"notebooks/{file.stem}\n" in index
+    assert f"{{nb-download}}`{file.name}`" in "".join(notebook["cells"][0]["source"])
