@@ -19,6 +19,7 @@ import numpy as np
 
 from warp_psdr import html, image_io, plots
 from warp_psdr.files import write_atomic
+from warp_psdr.progress import progress
 
 if TYPE_CHECKING:
     from warp_psdr.fit.run import FitResult, Problem
@@ -40,7 +41,7 @@ LOSS_NAMES = {
 
 def write_start(problem: Problem) -> None:
     """Write the views and the gradients before the first step."""
-    _write_views(problem, problem.config.output / "start")
+    _write_views(problem, problem.config.output / "start", "start")
     gradients = problem.gradients(0)
     write_gradients(problem.config.output / "gradients", problem.scene, problem.params, gradients, "_start")
 
@@ -48,7 +49,7 @@ def write_start(problem: Problem) -> None:
 def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
     """Write all results and return the PSNR of every view in decibels."""
     output = problem.config.output
-    images = _write_views(problem, output / "views")
+    images = _write_views(problem, output / "views", "end")
     scores = tuple(psnr(image, target) for image, target in zip(images, problem.targets, strict=True))
     starts = [image_io.read_image(output / "start" / f"view_{i}.exr") for i in range(len(images))]
     rows = {"target": problem.targets, "start": starts, "recovered": images}
@@ -177,10 +178,12 @@ def _write_array(path: Path, array: np.ndarray) -> None:
     write_atomic(path, lambda file: np.save(file, array, allow_pickle=False))
 
 
-def _write_views(problem: Problem, folder: Path) -> list[Any]:
+def _write_views(problem: Problem, folder: Path, when: str) -> list[Any]:
     folder.mkdir(parents=True, exist_ok=True)
     images = []
-    for view in range(len(problem.targets)):
-        images.append(problem.render(view, PICTURE_SEED + view))
-        write_picture(folder / f"view_{view}", images[-1])
+    with progress(f"views, {when}", len(problem.targets)) as report:
+        for view in range(len(problem.targets)):
+            images.append(problem.render(view, PICTURE_SEED + view))
+            write_picture(folder / f"view_{view}", images[-1])
+            report(view + 1, "")
     return images
