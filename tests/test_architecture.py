@@ -20,7 +20,7 @@ MAX_LINES = 500
 HOST_LAYERS = (
     {
         *("arrays", "compiler", "device", "exr_header", "files", "float_images", "headers", "html", "image"),
-        *("image_io", "invalid", "losses", "plots", "progress", "quiet", "workers"),
+        *("image_io", "invalid", "losses", "plots", "progress", "quiet", "scenes", "workers"),
     },
     {"options"},
     {"scene"},
@@ -31,7 +31,7 @@ HOST_LAYERS = (
     {"render"},
     {"torch", "__init__"},
     {"fit"},
-    {"cli"},
+    {"cli", "cli_output"},
 )
 #: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.
 GROUND_FLOOR = {"autodiff", "constants", "math", "rng", "sampling", "sink", "structs"}

@@ -35,7 +35,7 @@ finally:
         gc.enable()
 
 if TYPE_CHECKING:
-    from warp_psdr import fit, image_io, plots, sdf
+    from warp_psdr import fit, image_io, plots, scenes, sdf
     from warp_psdr import torch as torch
     from warp_psdr.image_io import read_image, write_image
     from warp_psdr.scene.own_meshes import load_mesh, preview_scene
@@ -80,6 +80,7 @@ __all__ = [
     "render_forward",
     "render_moment",
     "render_parts",
+    "scenes",
     "sdf",
     "set_ray_backend",
     "set_workers",
@@ -89,9 +90,9 @@ __all__ = [
     "write_image",
 ]
 
-#: Modules that need more than Warp and NumPy; each is loaded when it is first used. ``torch`` is not in ``__all__``: a
-#: star import would ask for PyTorch.
-_LAZY_MODULES = ("fit", "image_io", "plots", "sdf", "torch")
+#: Modules that few programs need, or that need more than Warp and NumPy; each is loaded when it is first used.
+#: ``torch`` is not in ``__all__``: a star import would ask for PyTorch.
+_LAZY_MODULES = ("fit", "image_io", "plots", "scenes", "sdf", "torch")
 _LAZY_NAMES = {
     "Scene": "warp_psdr.scene.scene",
     "load_mesh": "warp_psdr.scene.own_meshes",
