@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 import warp_psdr as psdr
@@ -135,7 +136,7 @@ def test_unreadable_values_name_their_line(vase) -> None:
 def gltf_tree(buffer: bytes) -> dict:
     """Two triangles of two materials; the second is named by a node that moves it."""
     views = [(0, 36), (36, 24), (60, 6)]
-    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1}, "indices": 2}
+    primitive = {"attributes": {"POSITION": 0, "TEXCOORD_0": 1, "COLOR_0": 0}, "indices": 2}
     return {
         "asset": {"version": "2.0"},
         "scene": 0,
@@ -196,8 +197,10 @@ def test_materials_of_gltf_are_principled(tmp_path, kind) -> None:
     binary = head + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
     file = tmp_path / f"vase.{kind}"
     file.write_bytes(binary if kind == "glb" else text)
-    with pytest.warns(psdr.SceneWarning, match="KHR_materials_sheen"):
+    with pytest.warns(psdr.SceneWarning) as warned:
         mesh = psdr.load_mesh(file)
+    texts = [str(warning.message) for warning in warned]
+    assert sum("KHR_materials_sheen" in text or "colours of vertices" in text for text in texts) == len(texts) == 2
     gold, plain = described(mesh).shapes
     assert (gold.path, plain.path) == ("vase-gold_leaf", "vase-material1")
     assert (gold.vertices[:, 2] == 3).all() and (plain.vertices[:, 2] == 0).all()
@@ -217,6 +220,16 @@ def test_materials_of_gltf_are_principled(tmp_path, kind) -> None:
     np.testing.assert_allclose(values["normalmap"].value, expected, atol=1e-6)
     assert plain.bsdf.model == "mask" and plain.bsdf.textures["opacity"].value.item() == 0.5
     np.testing.assert_allclose(plain.emitter.radiance.value, [1, 0, 0])
+
+
+@pytest.mark.parametrize("kind", ["ply", "stl", "off", "glb"])
+def test_a_mesh_without_materials_is_grey_on_both_sides(tmp_path, kind) -> None:
+    trimesh.creation.box().export(tmp_path / f"box.{kind}")
+    mesh = psdr.load_mesh(str(tmp_path / f"box.{kind}"))
+    (shape,) = described(mesh).shapes
+    assert shape.path == "vase" and len(shape.faces) == 12
+    if kind != "glb":  # which has a material, of trimesh
+        assert shape.bsdf.two_sided and shape.bsdf.textures["reflectance"].value.item() == 0.5
 
 
 @pytest.mark.parametrize("up", ["y", "z"])

@@ -39,6 +39,9 @@ def read_gltf_materials(file: Path, images: Images) -> list[tuple[str, Surface]]
     text, chunk = json_and_chunk(file)
     reader = _Reader(json.loads(text), chunk, images)
     try:
+        parts = [part for mesh in reader.listed("meshes") for part in mesh["primitives"]]
+        if any("COLOR_0" in part["attributes"] for part in parts):
+            reader.note("its colours of vertices are ignored")
         return [(str(material.get("name", "")), reader.surface(material)) for material in reader.listed("materials")]
     except (AttributeError, IndexError, KeyError, TypeError) as problem:
         raise error(images.place, f"a material is malformed ({problem!r})", "export the mesh again") from None
