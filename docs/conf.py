@@ -1,6 +1,8 @@
 """Settings of the documentation: ``sphinx-build -W --keep-going docs docs/_build``."""
 
+import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -13,7 +15,7 @@ html_title = "warp_psdr"
 html_theme = "furo"
 exclude_patterns = ["_build", "_ext", "data"]
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "sphinxcontrib.bibtex",
@@ -34,3 +36,13 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = True
 napoleon_numpy_docstring = False
 napoleon_use_ivar = True
+
+# Notebooks are kept without outputs and run at every build; a cell that fails ends the build.
+os.environ["PYTHONPATH"] = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+nb_execution_mode = "force"
+nb_execution_timeout = 600
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+nb_output_stderr = "remove"  # that kernels are compiled
+if find_spec("torch") is None:
+    nb_execution_excludepatterns = ["notebooks/recover_texture.ipynb"]

@@ -14,9 +14,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import usd_crate
 
 import warp_psdr as psdr
 from warp_psdr import image_io
+from warp_psdr.progress import progress
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDER = ROOT / "out" / "bunny"
@@ -36,12 +38,12 @@ PHOTO_SPP, PHOTO_SEED = 128, 2**32 - 1000
 def read_bunny() -> tuple[np.ndarray, np.ndarray]:
     """Return vertices (N, 3) and triangles (M, 3) of the bunny in the warp-lang wheel."""
     import warp
-    from pxr import Usd, UsdGeom
 
-    stage = Usd.Stage.Open(str(Path(warp.__file__).parent / "examples" / "assets" / "bunny.usd"))
-    mesh = UsdGeom.Mesh(stage.GetPrimAtPath("/root/bunny"))
-    vertices = np.array(mesh.GetPointsAttr().Get(), dtype=np.float32)
-    return vertices, np.array(mesh.GetFaceVertexIndicesAttr().Get(), dtype=np.uint32).reshape(-1, 3)
+    file = usd_crate.Crate(Path(warp.__file__).parent / "examples" / "assets" / "bunny.usd")
+    return (
+        file.array("/root/bunny.points", np.float32, 3),
+        file.array("/root/bunny.faceVertexIndices", np.uint32, 3),
+    )
 
 
 def unwrap(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -134,10 +136,26 @@ def write_data(folder: Path = FOLDER, spp: int = PHOTO_SPP) -> None:
         image_io.write_image(folder / f"view_{camera}.exr", image)
 
 
-def photographs(folder: Path, cameras: tuple[int, ...], spp: int, seed: int) -> dict[int, np.ndarray]:
+def load_truth(folder: Path) -> psdr.Scene:
+    """Return the scene with what is to be found."""
+    return psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr")
+
+
+def photographs(
+    folder: Path, cameras: tuple[int, ...], spp: int, seed: int, title: str = "photographs"
+) -> dict[int, np.ndarray]:
     """Return noisy images of the truth by camera, each with its own seed."""
-    scene = psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr")
-    return {i: psdr.render(scene, sensor=i, spp=spp, seed=seed + i).numpy() for i in cameras}
+    return render_views(load_truth(folder), cameras, spp, seed, title)
+
+
+def render_views(scene: psdr.Scene, cameras: tuple[int, ...], spp: int, seed: int, title: str) -> dict[int, np.ndarray]:
+    """Return images of a scene by camera, each with its own seed, behind a bar."""
+    images = {}
+    with progress(title, len(cameras)) as report:
+        for done, camera in enumerate(cameras, start=1):
+            images[camera] = psdr.render(scene, sensor=camera, spp=spp, seed=seed + camera).numpy()
+            report(done, "")
+    return images
 
 
 if __name__ == "__main__":

@@ -29,6 +29,8 @@ ALBEDO, LIGHT = "bunny.bsdf.reflectance.data", "environment.data"
 JUDGE_SPP, TRUTH_SEED, RECOVERED_SEED = 128, 2**32 - 2000, 2**32 - 3000
 #: Texels count as seen where the first gradient reaches this share of its median size over all texels that got any.
 SEEN = 0.1
+#: Steps whose mean is the loss at the end.
+LAST = 20
 #: Views that result.png shows: one that was given, and those that were kept.
 SHOWN = (0, *bunny_data.KEPT)
 
@@ -72,12 +74,22 @@ def render_recovered(folder) -> tuple[psdr.Parameters, dict[int, np.ndarray]]:
         params[name] = np.load(folder / "fit" / "parameters" / f"{name}.npy")
     params.update()
     cameras = (*bunny_data.GIVEN, *bunny_data.KEPT)
-    return params, {i: psdr.render(scene, sensor=i, spp=JUDGE_SPP, seed=RECOVERED_SEED + i).numpy() for i in cameras}
+    return params, bunny_data.render_views(scene, cameras, JUDGE_SPP, RECOVERED_SEED, "recovered views")
+
+
+def noise_of(folder, config: FitConfig) -> float:
+    """Return the loss that a step has at the truth: the noise of the photographs and of its own images."""
+    truth, losses = bunny_data.load_truth(folder), []
+    for camera, file in zip(bunny_data.GIVEN, config.targets, strict=True):
+        image = psdr.render(truth, sensor=camera, spp=config.spp, seed=TRUTH_SEED + camera)
+        losses.append(float(getattr(psdr.losses, config.loss)(image, image_io.read_image(file)[..., :3])))
+    return float(np.mean(losses))
 
 
 def draw(folder, params, truth, recovered) -> None:
     """Write the pictures."""
-    start = {i: psdr.render(psdr.load_file(folder / bunny_data.SCENE), sensor=i, spp=64).numpy() for i in SHOWN}
+    grey = psdr.load_file(folder / bunny_data.SCENE)
+    start = {i: psdr.render(grey, sensor=i, spp=64).numpy() for i in SHOWN}
     kept = lambda i: f"view {i}" + (", not given" if i in bunny_data.KEPT else "")  # noqa: E731
     titles = [f"truth, {kept(i)}" for i in SHOWN] + ["start"] * len(SHOWN)
     titles += [f"recovered, {psnr(recovered[i], truth[i]):.1f} dB" for i in SHOWN]
@@ -116,14 +128,15 @@ def main() -> None:
     arguments = parser.parse_args()
     folder, began = bunny_data.FOLDER, time.perf_counter()
     if not (arguments.resume and (folder / f"view_{bunny_data.GIVEN[-1]}.exr").exists()):
-        print("taking photographs ...", flush=True)
         bunny_data.write_data()
     config = FitConfig.from_file(bunny_data.ROOT / "examples" / "bunny.toml")
     result = fit(config, resume=arguments.resume, overwrite=not arguments.resume, iterations=arguments.iterations)
     if not result.completed:
         raise SystemExit("stopped; --resume goes on from here")
-    print("comparing with new photographs ...", flush=True)
-    truth = bunny_data.photographs(folder, (*bunny_data.GIVEN, *bunny_data.KEPT), JUDGE_SPP, TRUTH_SEED)
+    last = float(np.mean(result.losses[-LAST:]))
+    print(f"loss {last:.4f} at the end; at the truth it is {noise_of(folder, config):.4f}: the noise of the images")
+    cameras = (*bunny_data.GIVEN, *bunny_data.KEPT)
+    truth = bunny_data.photographs(folder, cameras, JUDGE_SPP, TRUTH_SEED, "new photographs")
     params, recovered = render_recovered(folder)
     report = {**judge(folder, truth, recovered), "steps": len(result.losses)}
     draw(folder, params, truth, recovered)

@@ -22,7 +22,18 @@ MAX_LINES = 500
 HOST_LAYERS = (
     {
         *("arrays", "compiler", "device", "exr_header", "files", "float_images", "headers", "html", "image"),
-        *("image_io", "invalid", "kernel_cache", "losses", "plots", "progress", "quiet", "startup", "workers"),
+        *(
+            "image_io",
+            "invalid",
+            "kernel_cache",
+            "losses",
+            "plots",
+            "progress",
+            "quiet",
+            "scenes",
+            "startup",
+            "workers",
+        ),
     },
     {"options"},
     {"scene"},
@@ -33,7 +44,7 @@ HOST_LAYERS = (
     {"render"},
     {"torch", "__init__"},
     {"fit"},
-    {"cli"},
+    {"cli", "cli_output"},
 )
 #: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.
 GROUND_FLOOR = {"autodiff", "constants", "math", "rng", "sampling", "sink", "structs"}

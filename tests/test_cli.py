@@ -1,5 +1,7 @@
 """The command line: every command leaves what it says, and every mistake is one line and status 2."""
 
+import dataclasses
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -266,3 +268,20 @@ def test_output_holds_results_only(scene: str, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "warp_psdr.cli", "render", str(tmp_path / scene), "-o", str(tmp_path / "a.exr")]
     done = subprocess.run([*command, "--spp", "1"], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout == f"wrote {tmp_path / 'a.exr'}\n"
+
+
+def test_the_version_is_the_librarys(capsys) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0 and capsys.readouterr().out == f"warp-psdr {psdr.__version__}\n"
+
+
+def test_help_of_fit_names_every_key(capsys) -> None:
+    with pytest.raises(SystemExit):
+        main(["fit", "--help"])
+    text = capsys.readouterr().out
+    assert "FitConfig" not in text
+    for field in dataclasses.fields(psdr.fit.FitConfig):
+        assert re.search(rf"^ +(\[|.*, )?{field.name}\b", text, re.MULTILINE), field.name
+    for field in dataclasses.fields(psdr.fit.Unknown):
+        assert re.search(rf"^    {field.name} ", text, re.MULTILINE), field.name

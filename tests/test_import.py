@@ -47,10 +47,10 @@ def test_dir_lists_what_is_public() -> None:
     assert isinstance(psdr.load_dict(psdr.cornell_box()), psdr.Scene)
 
 
-def test_rendering_needs_no_vtk_pyvista_or_torch(tmp_path: Path) -> None:
+def test_rendering_needs_no_vtk_pyvista_matplotlib_or_torch(tmp_path: Path) -> None:
     code = f"""
 import sys
-for name in ("vtk", "vtkmodules", "pyvista", "torch"):
+for name in ("vtk", "vtkmodules", "pyvista", "matplotlib", "torch"):
     sys.modules[name] = None  # an import of it fails
 import warp_psdr as psdr
 scene = psdr.load_dict(psdr.cornell_box())
@@ -59,8 +59,13 @@ params.requires_grad("white.reflectance.value")
 print(psdr.plan(scene, params), params, scene)
 image = psdr.render(scene, integrator={{"type": "path", "max_depth": 1}}, spp=1)
 psdr.write_image({str(tmp_path / "box.png")!r}, image)
+try:
+    psdr.view(scene)
+except ModuleNotFoundError as problem:
+    print(problem)
 psdr.torch
 """
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     assert (tmp_path / "box.png").stat().st_size > 0, done.stderr[-2000:]
+    assert "pip install pyvista" in done.stdout
     assert done.returncode != 0 and "pip install torch" in done.stderr  # the last line's error says what to do

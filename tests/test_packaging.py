@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+import warp_psdr
+
 ROOT = Path(__file__).resolve().parents[1]
 SHIPPED = ["kernels", "warp_psdr", "docs", "tests", "examples", "scenes"]
 TOP_FILES = ["pyproject.toml", "MANIFEST.in", "LICENSE", "README.md", "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md"]
@@ -48,26 +50,48 @@ def test_wheel_holds_exactly_the_library(wheel_names: set[str]) -> None:
     expected = {f"warp_psdr/kernels/{name}" for name in sources("kernels")}
     expected |= {f"warp_psdr/{name}" for name in sources("warp_psdr")}
     expected |= {f"warp_psdr/scene/sky_tables.{ending}" for ending in ("npz", "LICENSE")}
+    expected.add("warp_psdr/scene_files/cornell_box.xml")
     expected.add("warp_psdr/py.typed")  # the annotations are for type checkers of users, too
     assert {name for name in wheel_names if ".dist-info/" not in name} == expected
 
 
-def test_wheel_ships_licence_and_command(distributions: tuple[Path, Path], wheel_names: set[str]) -> None:
-    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in wheel_names)
+def test_wheel_ships_licences_version_and_command(distributions: tuple[Path, Path], wheel_names: set[str]) -> None:
+    for file in ("LICENSE", "warp_psdr/scene/sky_tables.LICENSE"):
+        assert any(name.endswith(f".dist-info/licenses/{file}") for name in wheel_names)
     with zipfile.ZipFile(distributions[0]) as archive:
+        metadata = archive.read(next(n for n in wheel_names if n.endswith(".dist-info/METADATA"))).decode()
         entry_points = archive.read(next(n for n in wheel_names if n.endswith("entry_points.txt"))).decode()
     assert "warp-psdr = warp_psdr.cli:main" in entry_points
+    assert f"\nVersion: {warp_psdr.__version__}\n" in metadata
+    assert "\nLicense-Expression: Apache-2.0 AND BSD-3-Clause\n" in metadata
+
+
+def test_the_version_stands_in_one_place() -> None:
+    """The citation's is a copy, for it is read without Python."""
+    assert f"\nversion: {warp_psdr.__version__}\n" in (ROOT / "CITATION.cff").read_text()
+    assert "version" in tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dynamic"]
+
+
+def test_a_package_index_would_take_both(distributions: tuple[Path, Path]) -> None:
+    pytest.importorskip("twine")
+    command = [sys.executable, "-m", "twine", "check", "--strict", *map(str, distributions)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout[-2000:] + done.stderr[-2000:]
+    assert done.stdout.count("PASSED") == 2
 
 
 def test_wheel_works_away_from_the_checkout(distributions: tuple[Path, Path], tmp_path: Path) -> None:
     with zipfile.ZipFile(distributions[0]) as archive:
         archive.extractall(tmp_path)
-    code = "import warp_psdr.kernels.structs as s, warp_psdr as p; print(s.__file__); print(p.__file__)"
+    code = "import warp_psdr.kernels.structs as s, warp_psdr as p; print(s.__file__); print(p.__file__)\n"
+    code += "scene = p.load_file(p.scenes.cornell_box, resolution=8)\n"
+    code += "print(p.scenes.cornell_box); assert p.render(scene, spp=4).numpy().mean() > 0.01"  # the README's kernel
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == [
+    assert done.stdout.split()[:3] == [
         str(tmp_path / "warp_psdr" / "kernels" / "structs.py"),
         str(tmp_path / "warp_psdr" / "__init__.py"),
+        str(tmp_path / "warp_psdr" / "scene_files" / "cornell_box.xml"),
     ]
 
 
@@ -89,5 +113,6 @@ def test_every_package_is_listed() -> None:
     found = {
         "warp_psdr." + ".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "kernels").rglob("__init__.py")
     } | {".".join(path.parent.relative_to(ROOT).parts) for path in (ROOT / "warp_psdr").rglob("__init__.py")}
+    found.add("warp_psdr.scene_files")  # the folder scenes, which is no Python
     assert set(configured["packages"]) == found
     assert set(configured["package-dir"]) == found

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
-    from warp_psdr import boundary, fit, guiding, image_io, interior, losses, optim, plots, sdf
+    from warp_psdr import boundary, fit, guiding, image_io, interior, losses, optim, plots, scenes, sdf
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.scene.acceleration import set_ray_backend
     from warp_psdr.scene.cornell_box import cornell_box
     from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
+    from warp_psdr.scene.own_meshes import load_mesh, preview_scene
     from warp_psdr.scene.parameters import Parameters, traverse
     from warp_psdr.scene.scene import Scene
     from warp_psdr.scene.transforms import Transform
@@ -59,12 +60,14 @@ __all__ = [
     "invalid_samples",
     "load_dict",
     "load_file",
+    "load_mesh",
     "load_string",
     "losses",
     "methods",
     "optim",
     "plan",
     "plots",
+    "preview_scene",
     "read_image",
     "render",
     "render_aov",
@@ -72,6 +75,7 @@ __all__ = [
     "render_forward",
     "render_moment",
     "render_parts",
+    "scenes",
     "sdf",
     "set_ray_backend",
     "set_workers",
@@ -101,9 +105,11 @@ _PUBLIC = {
     "invalid_samples": "invalid",
     "load_dict": "scene.load",
     "load_file": "scene.load",
+    "load_mesh": "scene.own_meshes",
     "load_string": "scene.load",
     "methods": "options.methods",
     "plan": "plan.plan",
+    "preview_scene": "scene.own_meshes",
     "read_image": "image_io",
     "render": "render",
     "render_aov": "aov",
@@ -118,7 +124,7 @@ _PUBLIC = {
     "view": "view.viewer",
     "write_image": "image_io",
 }
-_MODULES = ("boundary", "fit", "guiding", "image_io", "interior", "losses", "optim", "plots", "sdf", "torch")
+_MODULES = ("boundary", "fit", "guiding", "image_io", "interior", "losses", "optim", "plots", "scenes", "sdf", "torch")
 
 
 class _Package(ModuleType):

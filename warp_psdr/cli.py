@@ -9,17 +9,16 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from warp_psdr.cli_output import FIT_KEYS, Version, fractions, notes
 
 __all__ = ["main"]
 
 #: Exit statuses: a user's mistake (as argparse's own), and a run ended by Ctrl-C (128 + SIGINT, as shells report it).
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-#: A render reports fractions; the bar counts in these.
-PROGRESS_UNITS = 100
 LOSSES = ("l2", "l1", "huber", "relative_l2")
 DEFAULT_LOSS = "l2"
 
@@ -34,7 +33,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         import warp as wp
 
-        with wp.ScopedLogLevel(wp.LOG_WARNING), _notes():  # no line per compiled kernel between the results
+        with wp.ScopedLogLevel(wp.LOG_WARNING), notes():  # no line per compiled kernel between the results
             return arguments.run(arguments)
     except KeyboardInterrupt:
         print("warp-psdr: interrupted", file=sys.stderr)
@@ -52,6 +51,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="warp-psdr", description="Physics-based differentiable rendering.")
+    parser.add_argument("--version", action=Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     def command(name: str, run: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -127,7 +127,8 @@ def _parser() -> argparse.ArgumentParser:
     compile.add_argument("--param", action="append", default=[], metavar="NAME", help="as for gradient; repeatable")
 
     fit = command("fit", _fit, "Recover parameters of a scene from target images.")
-    fit.add_argument("config", type=Path, help="TOML or JSON file, see warp_psdr.fit.run.FitConfig")
+    fit.add_argument("config", type=Path, help="TOML or JSON file of the keys below")
+    fit.epilog, fit.formatter_class = FIT_KEYS, argparse.RawDescriptionHelpFormatter
     start = fit.add_mutually_exclusive_group()
     start.add_argument("--resume", action="store_true", help="continue from the last checkpoint, if there is one")
     start.add_argument("--overwrite", action="store_true", help="start again although there is a checkpoint")
@@ -141,6 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     view.add_argument("--outside", action="store_true", help="look from outside instead of through the sensor")
     view.add_argument("--screenshot", type=Path, metavar="FILE.png", help="write a picture instead of a window")
+    view.add_argument("--html", type=Path, metavar="FILE.html", help="write a page for browsers instead of a window")
     return parser
 
 
@@ -195,7 +197,7 @@ def _render(arguments: argparse.Namespace) -> int:
 
     _prepare(arguments.output, *image_io.SUFFIXES)
     scene, integrator = _load(arguments)
-    with _fractions("render") as progress:
+    with fractions("render") as progress:
         image = psdr.render(
             scene,
             sensor=arguments.sensor,
@@ -230,7 +232,7 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     from warp_psdr import image_io, plots
 
     tangents = _tangents(arguments, params)
-    with _fractions("derivative") as progress:
+    with fractions("derivative") as progress:
         image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
     exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
     image_io.write_image(exr, image)
@@ -245,7 +247,7 @@ def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     from warp_psdr.fit.report import write_gradients
 
     loss, adjoint = _loss(arguments, scene, params, options)
-    with _fractions("gradient") as progress:
+    with fractions("gradient") as progress:
         psdr.render_backward(scene, params, adjoint, progress=progress, **options)
     gradients = {name: params[name].grad.numpy() for name in params.requested}
     notes = write_gradients(arguments.output, scene, params, gradients)
@@ -267,7 +269,7 @@ def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[
 
     camera = scene.camera(arguments.sensor)
     target = read_target(arguments.target, (camera.crop_height, camera.crop_width))
-    with _fractions("image") as progress:
+    with fractions("image") as progress:
         image = psdr.render(scene, params, progress=progress, **options)
     image.requires_grad = True
     with wp.Tape() as tape:
@@ -298,7 +300,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         else:
             tangents = _tangents(arguments, params)
     options |= {"seconds": arguments.seconds, "clock": arguments.clock}
-    with _fractions("accuracy") as progress:
+    with fractions("accuracy") as progress:
         report = psdr.accuracy(scene, params, adjoint, tangents=tangents, progress=progress, **options)
     print(report)
     if arguments.target_error is not None:
@@ -365,19 +367,24 @@ def _view(arguments: argparse.Namespace) -> int:
         fields[name] = read_array(file)
     if arguments.screenshot is not None:
         _prepare(arguments.screenshot, ".png")
+    if arguments.html is not None:
+        _prepare(arguments.html, ".html", ".htm")
     scene, _ = _load(arguments)
-    plotter = view(
+    drawn = view(
         scene,
         psdr.traverse(scene),
         fields=fields or None,
         screenshot=arguments.screenshot,
         camera=None if arguments.outside else arguments.sensor,
     )
-    if arguments.screenshot is None:
-        plotter.show()
-    else:
-        print(f"wrote {arguments.screenshot}")
-    plotter.close()
+    if arguments.html is not None:
+        drawn.html(arguments.html)
+    written = [path for path in (arguments.screenshot, arguments.html) if path is not None]
+    for path in written:
+        print(f"wrote {path}")
+    if not written:
+        drawn.show()
+    drawn.close()
     return 0
 
 
@@ -441,36 +448,6 @@ def _sensor(text: str) -> int | str:
         return int(text)
     except ValueError:
         return text
-
-
-@contextmanager
-def _notes() -> Iterator[None]:
-    """Print what is ignored, repaired or doubtful in a scene as a line each, instead of as Python's warnings."""
-    import warnings
-
-    from warp_psdr import SceneWarning
-
-    show = warnings.showwarning
-
-    def line(message: Any, category: type[Warning], *place: Any, **rest: Any) -> None:
-        if issubclass(category, SceneWarning):
-            print(f"note: {message}", file=sys.stderr)
-        else:
-            show(message, category, *place, **rest)
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("always", SceneWarning)
-        warnings.showwarning = line
-        yield
-
-
-@contextmanager
-def _fractions(title: str) -> Iterator[Callable[[float], None]]:
-    """Progress of a render, which reports finished fractions."""
-    from warp_psdr.progress import progress
-
-    with progress(title, PROGRESS_UNITS) as report:
-        yield lambda fraction: report(int(fraction * PROGRESS_UNITS), "")
 
 
 def _prepare(path: Path, *suffixes: str) -> None:

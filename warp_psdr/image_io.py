@@ -7,7 +7,7 @@ import io
 import os
 import warnings
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -60,7 +60,7 @@ def read_image(path: str | os.PathLike[str], *, raw: bool = False) -> np.ndarray
         raise FileNotFoundError(f"no such image: '{file}'; check the name")
     if file.suffix.lower() in _EXR:
         return _read_exr(file)
-    return _read_low_range(file, raw) if file.suffix.lower() in _LOW_RANGE else _read_float(file)
+    return _read_low_range(file, file, raw) if file.suffix.lower() in _LOW_RANGE else _read_float(file)
 
 
 def write_image(path: str | os.PathLike[str], image: Any, *, half: bool = False) -> None:
@@ -158,7 +158,21 @@ def _write_exr(file: Path, array: np.ndarray, half: bool) -> None:
         raise OSError(errno.EIO, str(problem)) from problem
 
 
-def _read_low_range(file: Path, raw: bool) -> np.ndarray:
+def read_picture(data: BinaryIO, name: str, *, raw: bool = False) -> np.ndarray:
+    """Read a PNG, JPEG, BMP or TGA image that another file holds; see ``read_image``.
+
+    Args:
+        data: The image's bytes.
+        name: For messages.
+        raw: Leave values as they are stored instead of decoding sRGB.
+
+    Raises:
+        ValueError: If it cannot be decoded, or has more than 2^29 values.
+    """
+    return _read_low_range(data, name, raw)
+
+
+def _read_low_range(file: Path | BinaryIO, name: object, raw: bool) -> np.ndarray:
     from PIL import Image
 
     try:
@@ -170,7 +184,7 @@ def _read_low_range(file: Path, raw: bool) -> np.ndarray:
                 source.load()
                 values = _pixels(source)
     except Exception as problem:  # damaged files fail in many ways
-        raise ValueError(f"'{file}' is no readable PNG, JPEG, BMP or TGA image ({problem}); export it again") from None
+        raise ValueError(f"'{name}' is no readable PNG, JPEG, BMP or TGA image ({problem}); export it again") from None
     if not raw:
         # In place: large images have room for no second copy.
         color = values.shape[2] - (values.shape[2] in (2, 4))

@@ -27,6 +27,29 @@ CHANNELS = 3
 Weights = np.ndarray | wp.array | None
 
 
+class Loss(wp.array):
+    """A loss on its device: a Warp array of shape (1,); ``float(loss)`` is its value, which it shows by itself.
+
+    Args:
+        device: Warp device.
+        requires_grad: with an array for its gradient.
+    """
+
+    def __init__(self, device: Any, *, requires_grad: bool):
+        super().__init__(shape=(1,), dtype=wp.float32, device=device, requires_grad=requires_grad)
+
+    def __float__(self) -> float:
+        return float(self.numpy()[0])
+
+    def __format__(self, form: str) -> str:
+        return format(float(self), form)
+
+    def __repr__(self) -> str:
+        return f"<loss {float(self):.6g}, wp.array of shape (1,)>"
+
+    __str__ = __repr__
+
+
 def l2(image: wp.array, target: wp.array | np.ndarray, *, weights: Weights = None) -> wp.array:
     """Return the mean squared difference, ``mean((image - target)^2)``.
 
@@ -169,7 +192,7 @@ def total(loss: wp.array, *terms: tuple[float, wp.array]) -> wp.array:
     compiler.ensure([kernel], loss.device)
     for weight, value in terms:
         differentiable = bool(loss.requires_grad or value.requires_grad)
-        after = wp.empty(1, dtype=wp.float32, device=loss.device, requires_grad=differentiable)
+        after = Loss(loss.device, requires_grad=differentiable)
         wp.launch(kernel, dim=1, inputs=[value, float(weight), loss], outputs=[after], device=loss.device)
         loss = after
     return loss
@@ -241,7 +264,7 @@ def _mean_of(terms: wp.array, scale: float) -> wp.array:
     """The sum of terms in a fixed order, times a factor."""
     device, differentiable = terms.device, bool(terms.requires_grad)
     rows = wp.empty(terms.shape[0], dtype=wp.float64, device=device, requires_grad=differentiable)
-    mean = wp.empty(1, dtype=wp.float32, device=device, requires_grad=differentiable)
+    mean = Loss(device, requires_grad=differentiable)
     sum_rows, mean_of_rows = kernels.make_sums()
     wp.launch(sum_rows, dim=rows.shape, inputs=[terms], outputs=[rows], device=device)
     wp.launch(mean_of_rows, dim=1, inputs=[rows, wp.float64(scale)], outputs=[mean], device=device)

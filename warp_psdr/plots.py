@@ -150,7 +150,7 @@ def derivative_image(
     reduce: Reduce = "mean",
     title: str = "",
     unit: str = "",
-) -> float:
+) -> Drawn:
     """Draw a signed image, such as the derivative of a picture or the gradient of a texture, with its colour bar.
 
     Args:
@@ -163,7 +163,7 @@ def derivative_image(
         unit: Name and unit of the values, such as ``RADIANCE_DERIVATIVE``; stands at the colour bar.
 
     Returns:
-        The end of the colour range.
+        The end of the colour range, a number that notebooks show as the picture.
 
     Raises:
         ValueError: The image has another shape, or ``limit`` is not positive and finite.
@@ -185,7 +185,28 @@ def derivative_image(
     quantity = ", ".join(text for text in (unit, channels) if text)
     _signed_bar(figure, drawn, [axes], values, limit, quantity)
     _save(figure, path)
-    return limit
+    return Drawn(limit, path)
+
+
+class Drawn(float):
+    """The end of a picture's colour range; notebooks show the picture.
+
+    Args:
+        limit: The number.
+        path: The file of the picture, or an open one, which is not shown.
+    """
+
+    def __new__(cls, limit: float, path: str | os.PathLike | BinaryIO) -> Drawn:
+        """Return the number with its file."""
+        value = super().__new__(cls, limit)
+        value._file = Path(path) if isinstance(path, str | os.PathLike) else None
+        return value
+
+    _file: Path | None
+
+    def _repr_png_(self) -> bytes | None:
+        file = self._file
+        return file.read_bytes() if file is not None and file.suffix.lower() == ".png" and file.is_file() else None
 
 
 def loss_curve(

@@ -214,7 +214,6 @@ def test_a_baked_texture_shows_the_surface(example) -> None:
 
 
 def test_the_bunny_comes_with_the_warp_wheel(example) -> None:
-    pytest.importorskip("pxr")
     vertices, faces = example("bunny_data").read_bunny()
     assert faces.shape == (12200, 3)
     assert faces.max() == len(vertices) - 1

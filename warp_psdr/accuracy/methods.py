@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr import html
 from warp_psdr.accuracy.pilot import CLOCKS, run, select
 from warp_psdr.accuracy.report import DEVIATE, Report, positive
 from warp_psdr.estimate.arguments import checked_seed
@@ -68,6 +69,9 @@ class Comparison:
             time = "alone" if np.isnan(row.seconds) else f"{row.seconds:.3g} (x/ {np.exp(row.error):.2f})"
             lines.append(f"{row.method!s:<44} {row.refused.partition('. ')[0] if row.refused else time}")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html.preformatted(str(self))
 
 
 @warns

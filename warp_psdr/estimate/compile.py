@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from warp_psdr import compiler
+from warp_psdr import compiler, html
 from warp_psdr.compiler import Compiled
 from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
@@ -39,6 +39,9 @@ class Compilation:
             return f"all kernels were in the cache ({self.seconds:.1f} s)"
         lines = [f"{c.name:<24} {c.seconds:6.1f} s" for c in self.compiled]
         return "\n".join([*lines, f"{len(lines)} compiled side by side in {self.seconds:.1f} s"])
+
+    def _repr_html_(self) -> str:
+        return html.preformatted(str(self))
 
 
 def compile(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import html
 from warp_psdr.device import launch
 from warp_psdr.estimate.arguments import sample_count
 from warp_psdr.estimate.boundary.trace import BoundaryTrace, numbers, trace_boundary
@@ -92,6 +93,9 @@ class Trace:
             beta = numbers(v.beta)
             lines.append(f"   throughput {numbers(v.throughput)}, direct {numbers(v.direct)}, beta {beta}{emitted}")
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        return html.preformatted(str(self))
 
 
 def trace_sample(

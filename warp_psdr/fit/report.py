@@ -7,6 +7,7 @@ environment maps), ``gradients/`` (at the start and at the end), ``summary.json`
 
 from __future__ import annotations
 
+import base64
 import json
 import math
 import re
@@ -16,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr import image_io, plots
+from warp_psdr import html, image_io, plots
 from warp_psdr.files import write_atomic
+from warp_psdr.progress import progress
 
 if TYPE_CHECKING:
-    from warp_psdr.fit.run import Problem
+    from warp_psdr.fit.run import FitResult, Problem
 
-SUMMARY = "summary.json"
+SUMMARY, VIEWS = "summary.json", "views.png"
 #: Seeds of the final pictures lie beyond those of the steps, which stop below 2^31, so that nothing is fitted to them.
 PICTURE_SEED = 2**31
 #: Smallest mean squared error that a PSNR is computed from: 120 dB, beyond what 32-bit images can differ in.
@@ -39,7 +41,7 @@ LOSS_NAMES = {
 
 def write_start(problem: Problem) -> None:
     """Write the views and the gradients before the first step."""
-    _write_views(problem, problem.config.output / "start")
+    _write_views(problem, problem.config.output / "start", "start")
     gradients = problem.gradients(0)
     write_gradients(problem.config.output / "gradients", problem.scene, problem.params, gradients, "_start")
 
@@ -47,7 +49,7 @@ def write_start(problem: Problem) -> None:
 def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
     """Write all results and return the PSNR of every view in decibels."""
     output = problem.config.output
-    images = _write_views(problem, output / "views")
+    images = _write_views(problem, output / "views", "end")
     scores = tuple(psnr(image, target) for image, target in zip(images, problem.targets, strict=True))
     starts = [image_io.read_image(output / "start" / f"view_{i}.exr") for i in range(len(images))]
     rows = {"target": problem.targets, "start": starts, "recovered": images}
@@ -55,7 +57,7 @@ def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
     for i, score in enumerate(scores):
         titles[2 * len(images) + i] += f", {score:.1f} dB"
     pictures = [image for row in rows.values() for image in row]
-    plots.side_by_side(output / "views.png", pictures, titles, columns=len(images))
+    plots.side_by_side(output / VIEWS, pictures, titles, columns=len(images))
     plots.loss_curve(output / "loss.png", losses, ylabel=LOSS_NAMES[problem.config.loss])
     write_parameters(output / "parameters", problem.values())
     gradients = problem.gradients(len(losses))
@@ -76,6 +78,34 @@ def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
     text = json.dumps(summary, indent=2) + "\n"
     write_atomic(output / SUMMARY, lambda file: file.write(text.encode()))
     return scores
+
+
+def in_one_line(result: FitResult) -> str:
+    """Return a fit's outcome: steps, losses, decibels, and the samples that were dropped, if any were."""
+    losses = result.losses
+    parts = [f"{len(losses)} steps" if result.completed else f"stopped after {len(losses)} steps"]
+    if len(losses):
+        parts.append(f"loss {losses[0]:.4g} -> {losses[-1]:.4g}")
+    if result.psnr:
+        parts.append(f"PSNR of the views {', '.join(f'{value:.1f}' for value in result.psnr)} dB")
+    dropped = sum(result.invalid.values())
+    if dropped:
+        parts.append(f"{dropped} samples were not finite")
+    return "; ".join([*parts, f"results in {result.output}"])
+
+
+def shown(result: FitResult) -> str:
+    """Return what a notebook shows of a fit."""
+    rows = [
+        (name, " x ".join(map(str, value.shape)), f"{value.min():.4g}", f"{value.mean():.4g}", f"{value.max():.4g}")
+        for name, value in result.parameters.items()
+    ]
+    text = html.preformatted(in_one_line(result)) + html.table(("parameter", "shape", "least", "mean", "most"), rows)
+    picture = result.output / VIEWS
+    if result.completed and picture.is_file():
+        data = base64.b64encode(picture.read_bytes()).decode()
+        text += f'<img alt="target, start and recovered" src="data:image/png;base64,{data}"/>'
+    return text
 
 
 def psnr(image: np.ndarray, target: np.ndarray) -> float:
@@ -148,10 +178,12 @@ def _write_array(path: Path, array: np.ndarray) -> None:
     write_atomic(path, lambda file: np.save(file, array, allow_pickle=False))
 
 
-def _write_views(problem: Problem, folder: Path) -> list[Any]:
+def _write_views(problem: Problem, folder: Path, when: str) -> list[Any]:
     folder.mkdir(parents=True, exist_ok=True)
     images = []
-    for view in range(len(problem.targets)):
-        images.append(problem.render(view, PICTURE_SEED + view))
-        write_picture(folder / f"view_{view}", images[-1])
+    with progress(f"views, {when}", len(problem.targets)) as report:
+        for view in range(len(problem.targets)):
+            images.append(problem.render(view, PICTURE_SEED + view))
+            write_picture(folder / f"view_{view}", images[-1])
+            report(view + 1, "")
     return images

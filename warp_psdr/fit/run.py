@@ -41,9 +41,9 @@ CHECKPOINT = "checkpoint.npz"
 RENDER_STREAM, ORDER_STREAM = 0, 1
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class FitResult:
-    """What a fit found.
+    """What a fit found; notebooks show its numbers and the pictures of its views.
 
     Attributes:
         parameters: The recovered values by name, NumPy, in the parameters' shapes.
@@ -61,6 +61,16 @@ class FitResult:
     output: Path
     psnr: tuple[float, ...] = ()
     invalid: Mapping[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        from warp_psdr.fit.report import in_one_line
+
+        return f"<FitResult: {in_one_line(self)}>"
+
+    def _repr_html_(self) -> str:
+        from warp_psdr.fit.report import shown
+
+        return shown(self)
 
 
 @dataclass(eq=False, kw_only=True)

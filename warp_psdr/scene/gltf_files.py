@@ -22,6 +22,8 @@ _COMPONENTS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 
 _MAGIC, _JSON = b"glTF", b"JSON"
 #: Bytes in front of the JSON of a binary file: magic, version, length; length and kind of the chunk.
 _HEAD = struct.Struct("<4sIII4s")
+#: Bytes in front of another chunk: length and kind.
+_CHUNK_HEAD = 8
 
 
 def geometry_only(file: Path) -> io.BytesIO:
@@ -30,21 +32,38 @@ def geometry_only(file: Path) -> io.BytesIO:
     Raises:
         ValueError: If the file is malformed, or asks for more memory than geometry can take.
     """
+    version, text, rest = _split(file)
+    text = json.dumps(_geometry(json.loads(text))).encode()
+    if version is None:
+        return io.BytesIO(text)
+    text += b" " * (-len(text) % 4)
+    total = _HEAD.size + len(text) + len(rest)
+    return io.BytesIO(_HEAD.pack(_MAGIC, version, total, len(text), _JSON) + text + rest)
+
+
+def _split(file: Path) -> tuple[int | None, bytes, bytes]:
+    """Return the version of a binary file (None: it is text), its JSON, and the chunks behind."""
     data = file.read_bytes()
     if file.suffix.lower() != ".glb":
-        return io.BytesIO(json.dumps(_geometry(json.loads(data))).encode())
+        return None, data, b""
     magic, version, _, length, kind = _HEAD.unpack_from(data)
     if magic != _MAGIC or kind != _JSON:
         raise ValueError("it does not start as binary glTF does")
-    rest = data[_HEAD.size + length :]
-    text = json.dumps(_geometry(json.loads(data[_HEAD.size : _HEAD.size + length]))).encode()
-    text += b" " * (-len(text) % 4)
-    total = _HEAD.size + len(text) + len(rest)
-    return io.BytesIO(_HEAD.pack(magic, version, total, len(text), kind) + text + rest)
+    return version, data[_HEAD.size : _HEAD.size + length], data[_HEAD.size + length :]
+
+
+def json_and_chunk(file: Path) -> tuple[bytes, bytes]:
+    """Return the JSON of a file, and the bytes of a binary one's first chunk behind it.
+
+    Raises:
+        ValueError: If the file is malformed.
+    """
+    _, text, rest = _split(file)
+    return text, rest[_CHUNK_HEAD:]
 
 
 def _geometry(tree: Any) -> dict:
-    """Return the tree without pictures, materials reduced to their number."""
+    """Return the tree without pictures, materials reduced to their numbers, which are their names."""
     if not isinstance(tree, dict):
         raise ValueError("it is no glTF tree")
     sizes = [_size(accessor) for accessor in tree.get("accessors", [])]
@@ -53,7 +72,7 @@ def _geometry(tree: Any) -> dict:
     if max(sum(sizes), sum(meshes), placed) > _NUMBERS_MAX:
         raise ValueError(f"it holds more than {_NUMBERS_MAX} numbers, repetitions included; make it smaller")
     kept = {name: value for name, value in tree.items() if name not in ("images", "textures", "samplers")}
-    return kept | {"materials": [{} for _ in tree.get("materials", [])]}
+    return kept | {"materials": [{"name": str(i)} for i in range(len(tree.get("materials", [])))]}
 
 
 def _size(accessor: dict) -> int:

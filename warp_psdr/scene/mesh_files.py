@@ -13,7 +13,7 @@ import numpy as np
 
 from .context import Context
 from .errors import SceneError, error
-from .meshes import MeshData, fans, vertex_normals
+from .meshes import FaceMaterials, MeshData, fans, vertex_normals
 from .obj_files import read_obj
 from .ply_files import read_text_ply
 from .serialized_files import read_serialized
@@ -208,6 +208,9 @@ def _joined(parts: list[MeshData]) -> MeshData:
         data.texcoords = np.concatenate(
             [np.zeros((len(p.vertices), 2)) if p.texcoords is None else p.texcoords for p in parts]
         )
+    if any(part.materials is not None for part in parts):
+        none = [np.full(len(p.faces), -1) if p.materials is None else p.materials.faces for p in parts]
+        data.materials = FaceMaterials(np.concatenate(none), [])
     return data
 
 
@@ -222,4 +225,7 @@ def _part(part: dict, matrix: np.ndarray) -> MeshData:
         data.normals = transform_normals(matrix, part["vertex_normals"])
     uv = getattr(part.get("visual"), "uv", None)
     data.texcoords = None if uv is None else np.asarray(uv, dtype=np.float64)
+    number = getattr(getattr(part.get("visual"), "material", None), "name", None)  # see ``geometry_only``
+    if number is not None:
+        data.materials = FaceMaterials(np.full(len(faces), int(number)), [])
     return data

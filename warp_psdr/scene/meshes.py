@@ -26,6 +26,15 @@ _INDEX_MAX = 2**31 - 1
 
 
 @dataclass(eq=False)
+class FaceMaterials:
+    """The materials that a mesh file names, as it was read."""
+
+    faces: np.ndarray  #: (M,) number of each face's material, -1: none
+    names: list[str]  #: of the materials
+    files: list[str] = field(default_factory=list)  #: that hold them, where that is not the mesh file
+
+
+@dataclass(eq=False)
 class MeshData:
     """A mesh as it was read, object space."""
 
@@ -35,6 +44,7 @@ class MeshData:
     texcoords: np.ndarray | None = None  #: (N, 2)
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
     face_normals: bool = False  #: the file asks for face normals
+    materials: FaceMaterials | None = None  #: None: the file names none
 
 
 def in_place(props: Properties) -> MeshData:

@@ -14,11 +14,13 @@ from typing import Any
 import numpy as np
 
 from .errors import SceneError, error
-from .meshes import MeshData, fans
+from .meshes import FaceMaterials, MeshData, fans
 
 #: Keywords that are read, with the numbers that their lines hold at least.
 _COLUMNS = {"v": 3, "vt": 2, "vn": 3}
 _REEXPORT = "export the mesh again"
+#: Kinds of lines that name a material, and a file of materials.
+_USEMTL, _MTLLIB = -2, -3
 #: Up to this byte, characters are white space or stand for nothing.
 _BLANK = 32
 #: Keys of corners are made of three indices; larger products do not fit.
@@ -51,7 +53,21 @@ def read_obj(file: Path, place: str, note: Any) -> MeshData:
     if positions.shape[1] >= 6:
         with np.errstate(over="ignore"):  # what overflows becomes infinite, which the checks report
             data.attributes["vertex_color"] = positions[vertex[:, 0], 3:6].astype(np.float32)
+    data.materials = _materials(lines, counts)
     return data
+
+
+def _materials(lines: _Lines, counts: np.ndarray) -> FaceMaterials | None:
+    """Return the material of every triangle: that of the last ``usemtl`` before its polygon."""
+    used = np.flatnonzero(lines.kind == _USEMTL)
+    files = [lines.rest(i) for i in np.flatnonzero(lines.kind == _MTLLIB).tolist()]
+    if not len(used):
+        return None
+    said = [lines.rest(i) for i in used.tolist()]
+    names = list(dict.fromkeys(said))
+    number = np.array([-1, *(names.index(name) for name in said)])
+    polygons = number[np.searchsorted(used, np.flatnonzero(lines.of_kind("f")))]
+    return FaceMaterials(np.repeat(polygons, counts - 2), names, files)
 
 
 @dataclass(eq=False)
@@ -63,7 +79,7 @@ class _Lines:
         start, end: (L,) bytes of each line, its end included.
         number: (L,) of each line in the file, from 1.
         words: (L,) of each line, its keyword included.
-        kind: (L,) keyword of each line: its place in ``kinds``, or -1.
+        kind: (L,) keyword of each line: its place in ``kinds``, ``_USEMTL``, ``_MTLLIB`` or -1.
     """
 
     text: np.ndarray
@@ -97,6 +113,9 @@ class _Lines:
         kind[(a == ord("v")) & (b == ord("t")) & (c <= _BLANK)] = 1
         kind[(a == ord("v")) & (b == ord("n")) & (c <= _BLANK)] = 2
         kind[(a == ord("f")) & (b <= _BLANK)] = 3
+        # Other words that begin so say nothing.
+        kind[(a == ord("u")) & (b == ord("s")) & (c == ord("e"))] = _USEMTL
+        kind[(a == ord("m")) & (b == ord("t")) & (c == ord("l"))] = _MTLLIB
         # What follows a keyword are numbers.
         text[first[kind >= 0]] = _BLANK
         text[first[(kind == 1) | (kind == 2)] + 1] = _BLANK
@@ -114,6 +133,11 @@ class _Lines:
         first, last = np.flatnonzero(change > 0), np.flatnonzero(change < 0) - 1
         bounds = zip(self.start[first].tolist(), self.end[last].tolist(), strict=True)
         return b"".join([self.text[start:end].data for start, end in bounds])
+
+    def rest(self, i: int) -> str:
+        """Return what follows the first word of a line."""
+        text = self.text[self.start[i] : self.end[i]].tobytes().decode("utf-8", errors="replace")
+        return text.strip().partition(" ")[2].strip()
 
     def line(self, i: int) -> str:
         """Return a line with a keyword."""

@@ -34,7 +34,7 @@ from warp_psdr.scene.poses import Poses
 from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
-from warp_psdr.scene.summary import summary
+from warp_psdr.scene.summary import summary, tables
 from warp_psdr.scene.sunsky import follow_sky
 from warp_psdr.scene.super_grid import rebuild
 from warp_psdr.scene.tables import follow
@@ -164,8 +164,7 @@ class Scene:
             raise ValueError(f"contact_ratio: got {value!r}, expected a number that is not negative; 0: no strips")
         self._contact_ratio = float(value)
 
-    def __repr__(self) -> str:
-        return summary(self)
+    __repr__, _repr_html_ = summary, tables
 
     def __reduce_ex__(self, _protocol: Any):
         """Return what a copy, or another process, makes the same scene of: its description and its values."""

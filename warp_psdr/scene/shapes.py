@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 FARTHEST = 1.0e3
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
-_FLIP_TEX_COORDS = ("obj", "gltf", "glb")
+FLIP_TEX_COORDS = ("obj", "gltf", "glb")
 
 
 def build(node: dict, where: str, path: str, context: Context) -> ShapeDescription:
@@ -185,7 +185,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
     # Only serialized meshes have no such parameter.
     if (
         props.type != "serialized"
-        and props.boolean("flip_tex_coords", props.type in _FLIP_TEX_COORDS)
+        and props.boolean("flip_tex_coords", props.type in FLIP_TEX_COORDS)
         and data.texcoords is not None
     ):
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from warp_psdr.plots import NOT_FINITE_COLOR, diverging_colormap
+
 #: Pixels beside a panel for its colour bar, above it for its title, below it for notes.
 _BAR_MARGIN, _TITLE_MARGIN, _NOTES_MARGIN = 110, 26, 44
 #: Size of the labels' letters.
@@ -61,22 +63,40 @@ def arrangement(count: int, size: tuple[int, int], *, labels: bool) -> tuple[lis
     return cells, whole
 
 
-def draw_labels(plotter: Any, cell: Cell, table: Any, title: str, notes: Sequence[str]) -> None:
+@dataclass(frozen=True, eq=False)
+class Labels:
+    """What is said beside a panel: its title, notes below, and the colours from ``-limit`` to ``limit``."""
+
+    title: str
+    notes: Sequence[str]
+    limit: float
+    table: Any  #: pyvista's ``LookupTable``
+
+
+def color_table(limit: float) -> Any:
+    """Return pyvista's table of the colours of signed values."""
+    import pyvista
+
+    colormap = diverging_colormap()
+    table = pyvista.LookupTable(colormap, n_values=colormap.N, scalar_range=(-limit, limit))
+    table.nan_color = NOT_FINITE_COLOR
+    return table
+
+
+def draw_labels(plotter: Any, cell: Cell, labels: Labels) -> None:
     """Draw a panel's colour bar on the right, its title above and notes below, in the active renderer.
 
     Args:
         plotter: Its active renderer fills the cell with its margins.
         cell: The panel's place.
-        table: pyvista's ``LookupTable`` of the colours.
-        title: One line.
-        notes: Lines.
+        labels: What they say.
     """
     from vtkmodules.vtkRenderingAnnotation import vtkScalarBarActor
 
     width, height = cell.width + cell.bar, cell.height + cell.title + cell.notes
     bar = vtkScalarBarActor()
-    bar.SetLookupTable(table)
-    bar.SetMaximumNumberOfColors(table.n_values)
+    bar.SetLookupTable(labels.table)
+    bar.SetMaximumNumberOfColors(labels.table.n_values)
     bar.SetNumberOfLabels(5)
     bar.UnconstrainedFontSizeOn()
     bar.SetLabelFormat("{:.2g}")
@@ -91,5 +111,5 @@ def draw_labels(plotter: Any, cell: Cell, table: Any, title: str, notes: Sequenc
     text.ShadowOff()
     text.ItalicOff()
     plotter.renderer.AddViewProp(bar)
-    for label, y in ((title, cell.height + cell.notes + 3), ("\n".join(notes), 4)):
+    for label, y in ((labels.title, cell.height + cell.notes + 3), ("\n".join(labels.notes), 4)):
         plotter.add_text(label, position=(6 / width, y / height), viewport=True, font_size=_FONT, color="black")

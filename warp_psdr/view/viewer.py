@@ -16,7 +16,6 @@ from typing import Any, Literal
 import numpy as np
 
 from warp_psdr.plots import (
-    NOT_FINITE_COLOR,
     Reduce,
     as_array,
     clip_text,
@@ -28,15 +27,16 @@ from warp_psdr.plots import (
 from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
-from warp_psdr.view.panels import arrangement, draw_labels
+from warp_psdr.view.panels import Labels, arrangement, color_table
 from warp_psdr.view.surfaces import (
     Surface,
     own_fields,
     surface_of,
     value_now,
 )
+from warp_psdr.view.view import View
 from warp_psdr.view.volume_fields import volume_field, volumes_of
-from warp_psdr.view.vtk_window import open_plotter
+from warp_psdr.view.vtk_window import import_pyvista
 
 _BACKGROUND = (0.86, 0.87, 0.88)  # not white, which means zero
 _PLAIN = (0.72, 0.72, 0.72)  # surfaces that carry no field, beside surfaces that do
@@ -71,7 +71,7 @@ def view(
     window_size: tuple[int, int] = (1024, 768),
     percentile: float = 99.0,
     reduce: Reduce = "mean",
-) -> Any:
+) -> View:
     """Draw a scene, and gradients on its surfaces.
 
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
@@ -97,13 +97,18 @@ def view(
         reduce: How colours become one signed value: the "mean" of the channels or their "luminance".
 
     Returns:
-        The ``pyvista.Plotter``; call ``show()`` on it where there is a display, ``close()`` when done with it.
+        The view, with all methods of its ``pyvista.Plotter``: ``show()`` opens a window where there is a display,
+        ``close()`` ends it. ``html(path)`` writes a file that shows it in a browser, to be turned by the mouse; it
+        needs ``pip install 'warp-psdr[html]'``. As the last value of a notebook's cell it shows itself: so, or as a
+        picture where that package is missing.
 
     Raises:
         ValueError: A name is unknown or cannot be drawn, has no gradient, or its array has the wrong shape; there is no
             such sensor.
         RuntimeError: VTK cannot draw on this machine; the message says what to install.
+        ModuleNotFoundError: pyvista is missing; the message says how to install it.
     """
+    pyvista = import_pyvista()
     description: SceneDescription = getattr(scene, "description", scene)
     sensor = (
         description.sensors[description.camera_number(camera)] if camera is not None and description.sensors else None
@@ -111,24 +116,14 @@ def view(
     values = dict(params) if params is not None else {}
     surfaces = [surface_of(values, shape) for shape in description.shapes]
     center, radius = _bounds(surfaces)
-    import pyvista
-
     panels = _panels(description, values, surfaces, _named_arrays(params, fields), center, radius, reduce)
     cells, whole = arrangement(len(panels), window_size, labels=bool(panels[0].fields))
-    # Two renderers a panel: labels fill the cell, the scene covers all of it but the margins.
-    plotter = open_plotter(1, 2 * len(panels), whole, off_screen=screenshot is not None)
-    for number, (panel, cell) in enumerate(zip(panels, cells, strict=True)):
-        plotter.subplot(0, 2 * number)
+    labels = [_labels(panel, percentile) for panel in panels]
+
+    def draw(plotter: Any, number: int) -> None:
+        """Draw the scene of a panel in the active renderer."""
+        panel, cell = panels[number], cells[number]
         plotter.set_background(_BACKGROUND)
-        plotter.renderer.viewport = cell.viewport(whole, margins=True)
-        if panel.fields:
-            scalars, limit, longest = _limits(panel, percentile)
-            quantity = ", ".join(part for part in (panel.unit, panel.fields[0][0].quantity) if part)
-            arrow = "" if longest is None else f"; longest arrow: {longest:.3g}"
-            draw_labels(plotter, cell, _color_table(limit), panel.title, [quantity, clip_text(scalars, limit) + arrow])
-        plotter.subplot(0, 2 * number + 1)
-        plotter.set_background(_BACKGROUND)
-        plotter.renderer.viewport = cell.viewport(whole, margins=False)
         # One white light beside the camera: the usual warm and cool ones would tint what means zero.
         plotter.add_light(pyvista.Light(light_type="camera light", position=(-0.4, 0.6, 1.0)), only_active=True)
         _draw_shapes(plotter, description, values, surfaces, panel, show_emitters)
@@ -137,12 +132,11 @@ def view(
         if panel.fields:
             _draw_fields(plotter, panel, percentile)
         _aim(plotter, panel, sensor, values, center, radius, cell.width / cell.height)
-    if screenshot is not None:
-        from PIL import Image
 
-        image = Image.fromarray(plotter.screenshot(None, return_img=True))
-        write_picture(screenshot, lambda file: image.save(file, format="PNG"))
-    return plotter
+    result = View(cells, whole, labels, draw, background=_BACKGROUND, off_screen=screenshot is not None)
+    if screenshot is not None:
+        write_picture(screenshot, lambda file: file.write(result.png()))
+    return result
 
 
 @dataclass(eq=False)
@@ -370,6 +364,16 @@ def _draw_shapes(
         plotter.add_mesh(mesh, ambient=0.3, diffuse=0.7, show_scalar_bar=False, **look)
 
 
+def _labels(panel: _Panel, percentile: float) -> Labels | None:
+    """Return what stands beside a panel: nothing beside a scene alone."""
+    if not panel.fields:
+        return None
+    scalars, limit, longest = _limits(panel, percentile)
+    quantity = ", ".join(part for part in (panel.unit, panel.fields[0][0].quantity) if part)
+    arrow = "" if longest is None else f"; longest arrow: {longest:.3g}"
+    return Labels(panel.title, (quantity, clip_text(scalars, limit) + arrow), limit, color_table(limit))
+
+
 def _limits(panel: _Panel, percentile: float) -> tuple[np.ndarray, float, float | None]:
     """Return a panel's values, the end of their colour range, and the longest arrow's magnitude, if there is one."""
     scalars = np.concatenate([field.values.reshape(-1) for field, _, _ in panel.fields])
@@ -378,19 +382,10 @@ def _limits(panel: _Panel, percentile: float) -> tuple[np.ndarray, float, float 
     return scalars, symmetric_limit(scalars, percentile), longest
 
 
-def _color_table(limit: float) -> Any:
-    import pyvista
-
-    colormap = diverging_colormap()
-    table = pyvista.LookupTable(colormap, n_values=colormap.N, scalar_range=(-limit, limit))
-    table.nan_color = NOT_FINITE_COLOR
-    return table
-
-
 def _draw_fields(plotter: Any, panel: _Panel, percentile: float) -> None:
     """Draw a panel's fields and arrows on one scale."""
     _, limit, longest = _limits(panel, percentile)
-    table = _color_table(limit)
+    table = color_table(limit)
     faithful: dict[str, Any] = {"ambient": 0.6, "diffuse": 0.45, "show_scalar_bar": False}  # shaded, but readable
     if panel.side != "camera":
         faithful |= {"lighting": False, "culling": "back"}  # the far half, from inside

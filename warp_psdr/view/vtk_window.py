@@ -21,6 +21,20 @@ _PROBE = (
 )
 
 
+def import_pyvista() -> Any:
+    """Return pyvista.
+
+    Raises:
+        ModuleNotFoundError: It is missing, or VTK is; the message says how to install them.
+    """
+    try:
+        import pyvista
+    except ModuleNotFoundError as problem:
+        text = f"psdr.view draws with pyvista and VTK ({problem}); install them: pip install pyvista"
+        raise ModuleNotFoundError(text, name=problem.name) from None
+    return pyvista
+
+
 def open_plotter(rows: int, columns: int, window_size: tuple[int, int], *, off_screen: bool) -> Any:
     """Return an empty ``pyvista.Plotter`` of ``rows`` by ``columns`` panels, off-screen also where there is no display.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import html
 from warp_psdr.device import launch, shared_copy
 from warp_psdr.estimate.arguments import adjoint_array, flat_tangents
 from warp_psdr.estimate.boundary.terms import TERMS, Request, Term, launches
@@ -99,6 +100,9 @@ class BoundaryTrace:
     def __str__(self) -> str:
         head = f"{self.kind}, sample {self.sample}: {self.dropped} of its contributions are not finite"
         return "\n".join([head, *(f"{i + 1}. {place}" for i, place in enumerate(self.places))])
+
+    def _repr_html_(self) -> str:
+        return html.preformatted(str(self))
 
 
 def numbers(v: np.ndarray) -> str:
