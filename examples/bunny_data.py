@@ -134,9 +134,9 @@ def write_data(folder: Path = FOLDER, spp: int = PHOTO_SPP) -> None:
         image_io.write_image(folder / f"view_{camera}.exr", image)
 
 
-def photographs(folder: Path, cameras: tuple[int, ...], spp: int, seed: int) -> dict[int, np.ndarray]:
-    """Return noisy images of the truth by camera, each with its own seed."""
-    scene = psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr")
+def photographs(folder: Path, cameras: tuple[int, ...], spp: int, seed: int, **size: int) -> dict[int, np.ndarray]:
+    """Return noisy images of the truth by camera, each with its own seed; ``size`` may be its width and height."""
+    scene = psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr", **size)
     return {i: psdr.render(scene, sensor=i, spp=spp, seed=seed + i).numpy() for i in cameras}
 
 

@@ -3,6 +3,7 @@
 import argparse
 import ast
 import importlib
+import inspect
 import json
 import re
 import shlex
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import warp_psdr as psdr
 from warp_psdr import cli, image_io
 from warp_psdr.scene.plugins import PLUGINS
 
@@ -137,8 +139,29 @@ def test_every_material_texture_and_light_has_a_small_picture(kind: str) -> None
     files = {file.stem: file for file in (DOCS / "swatches").glob(f"{kind}_*.png")}
     assert set(files) == {f"{kind}_{name}" for name in PLUGINS[kind] if name not in spectra}
     for file in files.values():
-        assert file.stat().st_size < 8000
-        assert image_io.read_image(file, raw=True).std() > 0.02
+        assert file.stat().st_size < 24000
+        picture = image_io.read_image(file, raw=True)
+        assert picture.shape[:2] == (160, 160) and picture.std() > 0.02
+
+
+def test_formulas_have_a_font_and_its_licence() -> None:
+    """Without a MATH table integral signs have the size of text, and underbraces are dots."""
+    static = DOCS / "_static"
+    (font,) = re.findall(r'url\("(\S+\.woff2)"\)', (static / "site.css").read_text(encoding="utf-8"))
+    assert (static / font).read_bytes().startswith(b"wOF2") and (static / font).stat().st_size < 500_000
+    assert "SIL OPEN FONT LICENSE" in (static / font).with_suffix(".LICENSE").read_text(encoding="utf-8")
+
+
+def test_the_api_lists_all_public_names_most_called_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(DOCS / "_ext"))
+    api = importlib.import_module("api_names")
+    modules = {name for name in psdr.__all__ if inspect.ismodule(getattr(psdr, name))}
+    assert modules | {"torch"} == set(api.MODULES)
+    names = [name for group in api.grouped(n for n in psdr.__all__ if n not in modules).values() for name in group]
+    assert sorted(names) == sorted(set(psdr.__all__) - modules)
+    assert names[:6] == ["load_file", "load_dict", "traverse", "render", "render_backward", "render_forward"]
+    page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
+    assert re.findall(r"^```{api} (.+)$", page, re.MULTILINE) == [*api.GROUPS, *(f"psdr.{name}" for name in api.MODULES)]
 
 
 @pytest.mark.slow
