@@ -3,6 +3,7 @@
 import argparse
 import ast
 import importlib
+import importlib.util
 import inspect
 import json
 import re
@@ -24,6 +25,8 @@ PAGES = sorted(path for path in DOCS.rglob("*.md") if "_build" not in path.parts
 METHOD_SECTIONS = ["Equation", "Covers and refuses", "Options", "Measured", "Failure modes"]
 #: A device file's header is a title, a paragraph, and where the derivation is.
 HEADER_LINES = 15
+#: Letters of a line of code that a page shows without scrolling, in a window of 1400 pixels.
+CODE_COLUMNS = 90
 
 
 def name(path: Path) -> str:
@@ -44,6 +47,15 @@ def headings(page: Path) -> list[str]:
 def python_blocks(page: str) -> list[str]:
     text = (DOCS / page).read_text(encoding="utf-8")
     return re.findall(r"^```python\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+def is_mitsubas(code: str) -> bool:
+    """Whether a program is one of Mitsuba's, beside ours."""
+    return re.search(r"\bmi\.", code) is not None
+
+
+def needs_torch(code: str) -> bool:
+    return "torch" in code
 
 
 @pytest.mark.parametrize(
@@ -116,12 +128,39 @@ def test_commands_exist() -> None:
 
 def test_first_program_runs(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture) -> None:
     monkeypatch.chdir(ROOT)
-    (code,) = python_blocks("start.md")
+    code = python_blocks("start.md")[0]
     names: dict = {}
     exec(compile(code, "start.md", "exec"), names)
     assert np.abs(names["gradient"]).min() > 0.0
     assert np.abs(names["derivative"].numpy()).max() > 0.0
     assert "differentiated" in capsys.readouterr().out
+
+
+def test_program_with_a_mesh_of_ones_own_runs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    corners = [(x, y, z) for z in (0.5, -0.5) for x, y in ((-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5))]
+    sides = [(1, 2, 3, 4), (6, 5, 8, 7), (4, 3, 7, 8), (5, 6, 2, 1), (2, 6, 7, 3), (5, 1, 4, 8)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + ["vt 0 0", "vt 1 0", "vt 1 1", "vt 0 1"]
+    lines += [f"f {a}/1 {b}/2 {c}/3 {d}/4" for a, b, c, d in sides]
+    Path("vase.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    image_io.write_image("vase.png", (np.indices((8, 8)).sum(axis=0) // 2 % 2)[..., None] * [0.6, 0.3, 0.1] + 0.1)
+    (code,) = [block for block in python_blocks("start.md") if "vase.obj" in block]
+    for full, quick in (("range(40)", "range(12)"), ("spp=256", "spp=64"), ("96", "24"), ("72", "18")):
+        assert full in code
+        code = code.replace(full, quick)
+    exec(compile(code, "start.md", "exec"), {})
+    losses = [float(x) for x in re.findall(r"loss (\S+)", capsys.readouterr().out)]
+    assert losses[-1] < 0.5 * losses[0]
+    assert image_io.read_image("vase_texture.png").shape[:2] == (8, 8)
+
+
+@pytest.mark.parametrize("page", ["index.md", "start.md", "from_mitsuba.md", "troubleshooting.md", "gallery.md"])
+def test_code_is_not_wider_than_the_page(page: str) -> None:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    for block in re.findall(r"^```(?:python|bash)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        assert [line for line in block.splitlines() if len(line) > CODE_COLUMNS] == []
 
 
 @pytest.mark.parametrize("category", [c for c in PLUGINS if c != "scene"])
@@ -168,7 +207,9 @@ def test_the_api_lists_all_public_names_most_called_first(monkeypatch: pytest.Mo
 def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     names: dict = {}
-    for code in python_blocks("from_mitsuba.md")[1::2]:
+    for code in python_blocks("from_mitsuba.md"):
+        if is_mitsubas(code) or needs_torch(code):
+            continue
         names.pop("gradient", None)
         exec(compile(code, "from_mitsuba.md", "exec"), names)
         if "gradient =" in code:
@@ -176,10 +217,27 @@ def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("default")  # PyTorch's compiler warns of what it does itself
+def test_programs_with_pytorch_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("torch")
+    monkeypatch.chdir(ROOT)
+    blocks = [code for code in python_blocks("from_mitsuba.md") if needs_torch(code) and not is_mitsubas(code)]
+    names: dict = {"psdr": psdr}
+    for code in blocks:
+        exec(compile(code, "from_mitsuba.md", "exec"), names)
+    assert len(blocks) == 3
+    assert np.abs(names["gradient"].numpy()).max() > 0.0
+    assert names["color"].grad.abs().max() > 0.0
+
+
+@pytest.mark.slow
 def test_programs_of_mitsuba_run() -> None:
     pytest.importorskip("mitsuba")
     # In a process of its own, which Dr.Jit ends where the system's LLVM is none that it works with.
-    code = "\n".join(python_blocks("from_mitsuba.md")[::2])
+    blocks = [code for code in python_blocks("from_mitsuba.md") if is_mitsubas(code)]
+    if importlib.util.find_spec("torch") is None:
+        blocks = [code for code in blocks if not needs_torch(code)]
+    code = "\n".join(blocks)
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=False)
     if "LLVM ERROR" in done.stderr or "libLLVM" in done.stderr:
         pytest.skip("Mitsuba's variant llvm_ad_rgb does not work with this machine's LLVM")
