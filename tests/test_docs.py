@@ -111,6 +111,17 @@ def test_every_example_is_listed() -> None:
         assert f"`{file.name}`" in text
 
 
+def test_pictures_of_the_gallery_are_small_and_have_a_command() -> None:
+    sections = (DOCS / "gallery.md").read_text(encoding="utf-8").split("\n## ")[1:]
+    assert len(sections) > 10
+    for section in sections:
+        (script,) = re.findall(r"^python (\S+\.py)$", section, re.MULTILINE)
+        assert (ROOT / script).is_file()
+        pictures = re.findall(r"\]\((\.\./examples/pictures/\S+\.png)\)", section)
+        assert pictures and "](" in section
+        assert [name for name in pictures if (DOCS / name).stat().st_size >= 300_000] == []
+
+
 def test_commands_exist() -> None:
     text = (DOCS / "start.md").read_text(encoding="utf-8")
     lines = re.findall(r"^warp-psdr .+$", text, re.MULTILINE)
@@ -154,6 +165,24 @@ def test_program_with_a_mesh_of_ones_own_runs(
     losses = [float(x) for x in re.findall(r"loss (\S+)", capsys.readouterr().out)]
     assert losses[-1] < 0.5 * losses[0]
     assert image_io.read_image("vase_texture.png").shape[:2] == (8, 8)
+
+
+@pytest.mark.slow
+def test_commands_against_divergence_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    scene = psdr.load_file("scenes/cornell_box.xml", resolution=32)
+    params = psdr.traverse(scene)
+    params.requires_grad("red.reflectance.value", "small-box.vertex_positions")
+    image, target = (psdr.render(scene, spp=4, seed=seed).numpy() for seed in (0, 1))
+    names = {"np": np, "psdr": psdr, "scene": scene, "params": params, "image": image, "target": target, "step": 3}
+    names |= {"adjoint": 2.0 * (image - target) / image.size, "integrator": psdr.PathIntegrator(max_depth=3)}
+    names["optimizer"] = psdr.optim.Adam(params, lr=0.01)
+    for code in python_blocks("troubleshooting.md"):
+        for full, quick in (("spp=1024", "spp=64"), ("spp=256", "spp=16")):
+            code = code.replace(full, quick)
+        if "interior.compare" not in code:  # it compiles every method
+            exec(compile(code, "troubleshooting.md", "exec"), names)
+    assert np.isfinite(names["change"]).all()
 
 
 @pytest.mark.parametrize("page", ["index.md", "start.md", "from_mitsuba.md", "troubleshooting.md", "gallery.md"])
