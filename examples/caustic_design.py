@@ -8,8 +8,8 @@ light on the wall is the picture: light paths are drawn from the sun through the
 their vertices ride on what moves. No path from the camera could find that light. The derivative is the interior term
 alone, which is the whole here: all that moves falls on one wall.
 
-Leaves in ``out/caustic_design/``: ``result.png`` (the lens, flat, found, wanted), ``lens.png`` (its height), ``loss.png``,
-``lens.ply`` and ``report.json``.
+Leaves in ``out/caustic_design/``: ``result.png`` (the lens, flat, found, wanted), ``lens.png`` (its height),
+``loss.png``, ``lens.ply`` and ``report.json``.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
     python examples/recover_texture_and_light.py            # a minute or two on two cores
     python examples/recover_texture_and_light.py --resume   # goes on where a run was stopped
 
-Leaves in ``out/bunny/``: ``result.png`` (photograph, start, recovered, of a view that was given and of one that was not),
-``recovered.png`` (albedo and environment beside the truth), ``derivative.png``, ``gradients.png`` (the first gradient
-of the loss on the surfaces), ``report.json``, and in ``fit/`` all that ``warp-psdr fit`` writes.
+Leaves in ``out/bunny/``: ``result.png`` (photograph, start, recovered, of a view that was given and of one that was
+not), ``recovered.png`` (albedo and environment beside the truth), ``derivative.png``, ``gradients.png`` (the first
+gradient of the loss on the surfaces), ``report.json``, and in ``fit/`` all that ``warp-psdr fit`` writes.
 """
 
 from __future__ import annotations

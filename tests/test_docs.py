@@ -229,7 +229,10 @@ def test_the_api_lists_all_public_names_most_called_first(monkeypatch: pytest.Mo
     assert sorted(names) == sorted(set(psdr.__all__) - modules)
     assert names[:6] == ["load_file", "load_dict", "traverse", "render", "render_backward", "render_forward"]
     page = (DOCS / "reference" / "api.md").read_text(encoding="utf-8")
-    assert re.findall(r"^```{api} (.+)$", page, re.MULTILINE) == [*api.GROUPS, *(f"psdr.{name}" for name in api.MODULES)]
+    assert re.findall(r"^```{api} (.+)$", page, re.MULTILINE) == [
+        *api.GROUPS,
+        *(f"psdr.{name}" for name in api.MODULES),
+    ]
 
 
 @pytest.mark.slow

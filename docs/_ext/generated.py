@@ -1,9 +1,9 @@
 """Directives whose text is made when the documentation is built: from the code's tables, and from measurements.
 
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
-of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models; ``{api} GROUP``
-names of the API; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks
-writes; ``{combinations}`` what may be attached together, and what materials are not.
+of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models;
+``{api} GROUP`` names of the API; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output``
+of the benchmarks writes; ``{combinations}`` what may be attached together, and what materials are not.
 """
 
 from __future__ import annotations

@@ -3,9 +3,9 @@
     python docs/_ext/swatches.py            # all of them
     python docs/_ext/swatches.py bsdf       # those of one kind
 
-They are committed (``docs/swatches``, 256 colours, some 15 kB each): the documentation is built without rendering. What a plugin needs
-to be loaded is that of ``plugin_parameters.py``, and ``LOOKS`` where it shows little. Plugins whose kernels are large
-are rendered a few at a time.
+They are committed (``docs/swatches``, 256 colours, some 15 kB each): the documentation is built without rendering.
+What a plugin needs to be loaded is that of ``plugin_parameters.py``, and ``LOOKS`` where it shows little. Plugins whose
+kernels are large are rendered a few at a time.
 """
 
 from __future__ import annotations
@@ -62,7 +62,10 @@ LOOKS: dict[str, dict] = {
     "orennayar": {"reflectance": _rgb(0.7, 0.2, 0.1), "sigma": 0.6},
     "ashikhminshirley": {"reflectance": _rgb(0.6, 0.2, 0.1)},
     "twosided": {"bsdf": RED},
-    "mask": {"opacity": {"type": "checkerboard", "color0": 1.0, "color1": 0.0, "to_uv": T.scale([8, 4, 1])}, "a": TWOSIDED},
+    "mask": {
+        "opacity": {"type": "checkerboard", "color0": 1.0, "color1": 0.0, "to_uv": T.scale([8, 4, 1])},
+        "a": TWOSIDED,
+    },
     "blendbsdf": {"weight": 0.5, "a": RED, "b": GOLD},
     "normalmap": {
         "normalmap": {

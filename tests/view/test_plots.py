@@ -1,5 +1,6 @@
 """The plots, looked at pixel by pixel: colours mean what the docstrings say, and no file is ever half written."""
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -302,7 +303,7 @@ def test_titles_of_narrow_pictures_do_not_overprint_each_other(figures: list) ->
     plots.side_by_side("s.png", [np.ones((30, 40))] * 8, titles, columns=8)
     figures[0].draw_without_rendering()
     boxes = [axes.title.get_window_extent() for axes in figures[0].axes[:8]]
-    assert all(left.x1 < right.x0 for left, right in zip(boxes, boxes[1:], strict=False))
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
     assert max(box.y1 for box in boxes) <= figures[0].bbox.y1
 
 
