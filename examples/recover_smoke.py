@@ -199,7 +199,8 @@ def main(
         print(f"{size} voxels an axis: loss {np.mean(losses[-4 * GIVEN :]):.5f}", flush=True)
     found = photographs(scene, PHOTO_SEED + 200)
     states = (sought, (0.0 * density, 0.0 * albedo), (density, albedo))
-    shown = tuple(drawn(build(*state, FINER * resolution), PHOTO_SEED + 300 + 100 * i) for i, state in enumerate(states))
+    fine = FINER * resolution
+    shown = tuple(drawn(build(*state, fine), PHOTO_SEED + 300 + 100 * i) for i, state in enumerate(states))
     draw(folder, sought, (density, albedo))
     smooth = np.convolve(losses, np.ones(GIVEN) / GIVEN, mode="valid")
     curves = {"mean over eight photographs": smooth}
