@@ -22,6 +22,7 @@ extensions = [
     "citation_keys",
     "generated",
     "mathml",
+    "side_by_side",
 ]
 html_math_renderer = "mathml"
 myst_enable_extensions = ["dollarmath", "amsmath", "deflist", "colon_fence"]

@@ -1,4 +1,4 @@
-"""One step of Adam [KB15] with projection, and the check of a gradient that comes before it.
+"""One step of the optimiser Adam [KB15] with projection to the valid range, and the check of the gradient before it.
 
 [KB15] D. P. Kingma, J. Ba: Adam: A Method for Stochastic Optimization. ICLR 2015, algorithm 1.
 """

@@ -1,8 +1,8 @@
-"""Angles by polynomials: a quarter of the time of the math library's functions on the CPU. Values only, no derivatives.
+"""Inverse trigonometric functions by polynomials, four times as fast as the math library's on the CPU. No derivatives.
 
 Coefficients are near-minimax for the *relative* error (weighted least squares over Chebyshev nodes, reweighted by the
-residual), so that results stay accurate next to zero, which a pole of an environment map needs. Errors are those in
-float32, rounding included.
+residual). Results therefore stay accurate next to zero, which the pole of an environment map needs. The errors named
+below are those in float32, rounding included.
 """
 
 import warp as wp

@@ -1,8 +1,8 @@
-"""What the camera sees first: depth, position, normals, texture coordinates, albedo and numbers, averaged over a pixel.
+"""What the camera sees first: depth, position, normals, texture coordinates, albedo and indices, averaged over a pixel.
 
-The channels of Mitsuba's ``aov`` integrator, under its names. Where a ray leaves the scene all are 0. Depth is the
-distance along the ray from the near clip plane. The albedo is pi f_s for light that leaves along the shading normal,
-which of a diffuse surface is its reflectance; of models without a smooth lobe it is 0.
+The channels are those of Mitsuba's ``aov`` integrator, under its names. All channels are 0 where a ray leaves the
+scene. Depth is the distance along the ray from the near clip plane. The albedo is pi f_s for light that leaves along
+the shading normal: the reflectance of a diffuse surface, and 0 for models without a smooth lobe.
 """
 
 import functools

@@ -1,10 +1,10 @@
-"""Two things that Warp 1.19 needs where ``wp.grad`` is used; ``tests/test_autodiff.py`` holds both.
+"""Two helpers that Warp 1.19 needs where ``wp.grad`` is used; ``tests/test_autodiff.py`` checks both.
 
-* A function that ``wp.grad`` differentiates may have been built before, for its value alone. Then the adjoints of the
-  functions that *it* calls are emitted empty, and their derivatives are silently zero. ``differentiable`` marks the
+* A function that ``wp.grad`` differentiates may have been built earlier for its value alone. Warp then emits empty
+  adjoints for the functions that *it* calls, and their derivatives are silently zero. ``differentiable`` marks the
   whole call tree, so that every adjoint exists whatever the order.
-* Functions that call ``wp.grad`` are emitted behind all others. So one that only calls such a function has to be moved
-  behind it too: ``_anchor = wp.grad(anchor)(0.0)``, which the compiler removes.
+* Warp emits functions that call ``wp.grad`` behind all others. A function that only calls such a function has to be
+  moved behind it too: ``_anchor = wp.grad(anchor)(0.0)``, which the compiler removes.
 """
 
 import warp as wp

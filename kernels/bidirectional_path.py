@@ -1,9 +1,9 @@
-"""Bidirectional paths: those from the camera and from the lights, each with the weight of all ways to draw it.
+"""The image by bidirectional paths: camera paths and light paths, each weighted over all ways to draw it.
 
-A path from the camera finds light by hitting it and by next-event estimation, as in ``path.py``; a light path is joined
-to the camera, as in ``light_path.py``. Every path is weighted with the balance heuristic over these three [Vea97,
-section 10.2]: caustics are left to the lights, what glossy surfaces and mirrors show to the camera. Weights are
-detached, so the derivatives of both kinds of paths stay as they are.
+A camera path finds light by hitting it and by next-event estimation, as in ``path.py``. A light path is joined to the
+camera, as in ``light_path.py``. The balance heuristic over these three techniques weights every path [Vea97, section
+10.2]: light paths take caustics, and camera paths take what glossy surfaces and mirrors show. Weights are detached, so
+the derivatives of both kinds of paths stay as they are.
 
 Derivation: ``docs/theory/light_tracing.md#all-cuts-of-a-path``.
 """

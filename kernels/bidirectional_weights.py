@@ -1,10 +1,9 @@
-"""Weights of bidirectional paths: the balance heuristic over all places at which a path may be cut in two.
+"""Weights of bidirectional paths: the balance heuristic over all edges at which a path may be cut in two.
 
-A path x_0 ... x_k, y from the camera to a light is drawn by cutting the edge x_m x_(m+1): its front part from the
-camera, its back part from the light. The density of a cut over that of the next one is a quotient of local densities,
-so both subpaths carry the sums of these quotients along, of all cuts that lie behind them, as two numbers ``near`` and
-``far`` [Vea97, section 10.2.1]. Densities of what roulette lets through are left out: weights need to add up to one, no
-more.
+A path x_0 ... x_k, y from the camera to a light may be cut at the edge x_m x_(m+1): the camera draws the front part,
+and the light the back part. The density of one cut over that of the next is a quotient of local densities. Both
+subpaths therefore carry the sum of these quotients over all cuts behind them, as two numbers ``near`` and ``far``
+[Vea97, section 10.2.1]. Russian roulette is left out of the densities, because weights only need to add up to one.
 
 Derivation: ``docs/theory/light_tracing.md#all-cuts-of-a-path``.
 """

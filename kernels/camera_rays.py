@@ -1,4 +1,4 @@
-"""Camera rays that are traced together where the ray structure can (``bvh/bundle.py``), and the samples behind them."""
+"""Camera rays that are traced together where the ray structure allows it (``bvh/bundle.py``), with their samples."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""Images side by side on one film."""
+"""Several images side by side on one film."""
 
 import warp as wp
 

@@ -1,10 +1,12 @@
-"""Connections of bidirectional paths: vertices of a path from the camera and of a light path, joined; and their image.
+"""Connections of bidirectional paths: vertices of a camera path joined to those of a light path, and their image.
 
-With the flux Phi that arrives at z from l and the throughput A of the path from the camera at x, the two bring
+Let the flux Phi arrive at z from the direction l, and let A be the throughput of the camera path at x. The connection
+contributes
 
     A f(x, w) [ |n_g . w| / (|n_g . l| r^2) ] f(z, l) Phi,
 
-f the scattering functions with their cosines, as the path tracer has them at both ends, w from x to z, cosines at z.
+with w the direction from x to z, r their distance, cosines at z, and f the path tracer's scattering functions with
+their cosines.
 
 Derivation: ``docs/theory/light_tracing.md#inner-connections``.
 """

@@ -1,12 +1,12 @@
 """Sampling of discrete distributions that are given as cumulative arrays.
 
-Cumulative values are multiples of 2^-24, like the random numbers (``kernels/rng.py``). So an entry is drawn exactly
-with the probability ``cdf[i + 1] - cdf[i]`` that the device reads (that difference has no rounding error).
+Cumulative values are multiples of 2^-24, like the random numbers (``kernels/rng.py``). An entry is therefore drawn
+exactly with the probability ``cdf[i + 1] - cdf[i]`` that the device reads, since this difference has no rounding error.
 
-A *guide* shortens the search [Chen and Asau 1974, On Generating Random Variates from an Empirical Distribution]. Of its
-n buckets the b-th says which entry holds b / n: what u in [b / n, (b + 1) / n) finds lies between the entries of two
-neighbours, ends included. n is a power of two, so that n u and its integer part are exact, and nothing is found that
-the whole search does not find. A guide lies behind the array's cumulative values: n, then those of n + 1 buckets.
+A *guide* shortens the search [Chen and Asau 1974, On Generating Random Variates from an Empirical Distribution]. It has
+n buckets, and the b-th holds the entry of b / n. A number u in [b / n, (b + 1) / n) lies between the entries of two
+neighbouring buckets, ends included. n is a power of two, so n u and its integer part are exact, and the guide finds
+what the whole search finds. A guide lies behind the array's cumulative values: n, then the entries of n + 1 buckets.
 """
 
 import warp as wp

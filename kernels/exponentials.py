@@ -1,7 +1,7 @@
-"""Exponentials and what is made of them, by polynomials: nothing branches, so that loops over lanes become SIMD.
+"""Exponentials and related functions by polynomials without branches, so that loops over lanes become SIMD.
 
-The math library's functions are called for one number after the other. ``exponential`` has a derivative, that of its
-polynomial, and ``smooth_logarithm`` has one; the others are values only.
+The math library's functions take one number at a time. ``exponential`` and ``smooth_logarithm`` have derivatives, those
+of their polynomials; the other functions give values only.
 """
 
 import warp as wp

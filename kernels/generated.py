@@ -1,4 +1,4 @@
-"""Device functions and structs that are made for a scene, or for a record: one line a value, by the values' names."""
+"""Device functions and structs that are generated for a scene or a record, one line for each value."""
 
 import functools
 import hashlib

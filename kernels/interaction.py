@@ -1,8 +1,8 @@
-"""What is here: the one door to the point that a ray meets, its frame, its material and its scattering functions.
+"""The interaction of a ray with a surface: the point, its frame, its material and its scattering functions.
 
-Every loop that meets surfaces (paths, walks towards the sensor, chains through mirrors and glass, photons, edge
-sampling, the sweep and forward mode) asks ``make_interaction`` for a record of the point and for functions of that
-record. What a scene does not need (dp/du, a second side, interpolated normals) is not compiled.
+Every loop that meets surfaces uses this file (paths, walks towards the sensor, chains through mirrors and glass,
+photons, edge sampling, the sweep, forward mode). ``make_interaction`` gives the record of the point and functions of
+that record. What a scene does not need (dp/du, a second side, interpolated normals) is not compiled.
 """
 
 import functools

@@ -1,12 +1,11 @@
 """Samples that are not finite: dropped and counted, never added up and never masked in silence.
 
-Every kernel that adds samples to an image or a gradient tests what it adds. What counts is the *sample*: a kernel calls
-``count_invalid`` once for a contribution that it drops. A test before that must let NaN pass: ``x > 0`` is false for
-it, and ``max`` of a vector skips it, so that an error would look like a legitimate zero; ``vanishes`` does not. An
-infinite density makes a zero of a contribution, hence ``inverse_pdf``.
-
-The counter belongs to one launch and one lane (``Scene.invalid``): atomic additions on the CPU are not atomic between
-threads. Which kind of sample a launch draws is the host's to know (``warp_psdr/invalid.py``).
+Every kernel that adds samples to an image or a gradient tests what it adds. The *sample* counts: a kernel calls
+``count_invalid`` once for a contribution that it drops. Earlier tests must let NaN pass: ``x > 0`` is false for NaN,
+and ``max`` of a vector skips it, so that an error would look like a legitimate zero; ``vanishes`` does not. An infinite
+density makes a contribution zero, hence ``inverse_pdf``. The counter belongs to one launch and one lane
+(``Scene.invalid``), because atomic additions on the CPU are not atomic between threads. The host knows which kind of
+sample a launch draws (``warp_psdr/invalid.py``).
 """
 
 import functools

@@ -1,7 +1,7 @@
-"""What one launch draws: samples of pixels, or samples of a boundary term, in one record.
+"""The samples that one launch draws: samples of pixels, or samples of a boundary term, in one record.
 
-Every kernel takes the scene, what it reads of its own, a job, and where its results go. A job is a range of numbered
-samples with a seed: disjoint ranges are independent, and what they give adds up.
+Every kernel takes the scene, its own inputs, a job, and its outputs. A job is a range of numbered samples with a seed.
+Disjoint ranges are independent, and their results add up.
 """
 
 import functools

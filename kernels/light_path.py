@@ -6,9 +6,9 @@ that comes from l and is seen from w. The flux of the next ray over that of the 
     f_s(w, l) |n . l| |n_g . w| / |n_g . l|        (smooth lobes, over the density of w)
     R |n . l| |n_g . w| / (|n_g . l| |n . w|)      (mirrors, glass)
 
-n the shading and n_g the geometric normal [Vea97, section 5.3]; R holds no squared index of refraction. Delta lobes are
-passed by sampling. Where light paths join those of the camera (``PathConfig.caustics``), they bring what these do not
-find: light of no area whose first lobe, null lobes aside, is a delta lobe.
+with n the shading and n_g the geometric normal [Vea97, section 5.3]; R holds no squared index of refraction. Sampling
+passes delta lobes. If light paths supplement camera paths (``PathConfig.caustics``), they bring what these do not find:
+light of no area whose first lobe, null lobes aside, is a delta lobe.
 
 Derivation: ``docs/theory/light_tracing.md#transport-of-flux``.
 """

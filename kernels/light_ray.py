@@ -1,8 +1,8 @@
-"""Rays that leave the lights: a light by its power, a point on it and a direction, and the flux that the ray carries.
+"""Rays that leave the lights: a light drawn by its power, a point on it, a direction, and the flux of the ray.
 
-With the density p of the ray (selection, place, direction), the flux of a sample is W / p, W what the light sends per
-unit of that measure: L cos(theta) for areas, the intensity for points, L times the area of a disk that covers the scene
-for light from infinity.
+With the density p of the ray (selection, place, direction), the flux of a sample is W / p. W is what the light sends
+per unit of that measure: L cos(theta) for areas, the intensity for points, and L times the area of a disk that covers
+the scene for light from infinity.
 
 Derivation: ``docs/theory/light_tracing.md#rays-that-leave-lights``.
 """

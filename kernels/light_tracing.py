@@ -1,8 +1,9 @@
 """The image by light tracing: paths from the lights, whose vertices are joined to the camera and splatted.
 
 The flux that a vertex sends to the camera counts for every pixel under whose filter it lies, with the weights of
-``sensor/film.py``: those of the path tracer's images. On the CPU every lane of a launch has a film of its own, and
-``collect_splats`` adds them in fixed order in double precision, so that the bits do not depend on the workers.
+``sensor/film.py``, which are those of the path tracer's images. On the CPU every lane of a launch has a film of its
+own. ``films.collect_splats`` adds these films in fixed order in double precision, so that the bits do not depend on the
+number of workers.
 
 Derivation: ``docs/theory/light_tracing.md#film-weights``.
 """
@@ -15,7 +16,7 @@ from warp_psdr.kernels.bidirectional_path import make_light_walk
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import light_sampler
-from warp_psdr.kernels.modules import SCENE, wide_vectors
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -51,31 +52,3 @@ def make_light_image_kernel(config: PathConfig):
                     splat(scene, sampler, camera, vertex.pixel, value, film_out)
 
     return light_image
-
-
-@wp.kernel(module=SCENE, enable_backward=False)
-def collect_splats(
-    # In and out:
-    films: wp.array3d(dtype=wp.vec3),
-    # Out:
-    total_out: wp.array2d(dtype=wp.vec3d),
-):
-    """Add the lanes' films in fixed order to one in double precision, and clear them."""
-    row, column = wp.tid()
-    total = total_out[row, column]
-    for lane in range(films.shape[0]):
-        total += wp.vec3d(films[lane, row, column])
-        films[lane, row, column] = wp.vec3()
-    total_out[row, column] = total
-
-
-@wp.kernel(module=SCENE, enable_backward=False)
-def add_splats(
-    # In:
-    total: wp.array2d(dtype=wp.vec3d),
-    # In and out:
-    image_out: wp.array2d(dtype=wp.vec3),
-):
-    """Add the light paths' part to an image."""
-    row, column = wp.tid()
-    image_out[row, column] = wp.vec3(wp.vec3d(image_out[row, column]) + total[row, column])

@@ -1,7 +1,7 @@
 """Losses of images and regularisers of grids: one kernel for the terms, two for their sum in a fixed order.
 
-Warp differentiates these kernels itself. That is safe here, unlike in a path's bounce loop: the terms are free of
-loops, and the loops of the sums carry nothing but the sum, whose adjoint needs none of its earlier values.
+Warp differentiates these kernels itself. This is safe here, unlike in a path's bounce loop: the terms are free of
+loops, and the loops of the sums carry only the sum, whose adjoint needs none of its earlier values.
 """
 
 import functools

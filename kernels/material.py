@@ -1,4 +1,4 @@
-"""Values of a material at a point: its textures, read where it is met."""
+"""Values of a material at a point, read from its textures."""
 
 import functools
 

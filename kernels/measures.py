@@ -1,4 +1,4 @@
-"""Values of a material that the geometry gives: the side, and dp/du and dp/dv in the shading frame."""
+"""Material values that the geometry gives: the side, and dp/du and dp/dv in the shading frame."""
 
 import functools
 

@@ -1,8 +1,8 @@
-"""What Warp's compiler is asked for, and the modules that fixed kernels share.
+"""Compiler options, and the Warp modules that kernels without variants share.
 
-Every run of the compiler costs as much as a small kernel. A module is compiled whole, so kernels share one where who
-needs one needs most of them. All files of a module are imported with ``warp_psdr``; a kernel that joins later changes
-the module's name in the cache.
+Every run of the compiler costs as much as a small kernel, and a module is compiled whole. Kernels therefore share a
+module if whoever needs one of them needs most of them. A kernel that joins later changes the module's name in the cache
+and compiles it anew, so code that compiles a module imports all of its ``FILES`` first.
 """
 
 import warp as wp
@@ -40,3 +40,11 @@ HEADERS = shared("warp_psdr.headers")
 #: Losses of images, and of grids.
 LOSS = shared("warp_psdr.loss")
 GRID_LOSS = shared("warp_psdr.grid_loss")
+#: Files of ``kernels`` whose kernels share a module.
+FILES = {
+    SCENE: ("films", "primitive.affine", "reduction", "shape.normals", "shape.transform", "surface"),
+    DERIVED_VJP: ("shape.normals", "shape.transform"),
+    DERIVED_JVP: ("shape.normals", "shape.transform"),
+    PAIRS: ("boundary.path_space.crossing", "boundary.touching"),
+    HEADERS: ("headers",),
+}

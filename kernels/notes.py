@@ -1,7 +1,7 @@
-"""Notes of what one sample meets, for ``psdr.trace_sample``: kernels of a ``noted`` configuration write them.
+"""Notes on the vertices of one sample, for ``psdr.trace_sample``: kernels of a ``noted`` configuration write them.
 
-They follow the counter in ``Scene.invalid`` (``invalid.py``): their number, then a row each. Other kernels of the same
-call pass an array that ends behind the counter, and note nothing. One thread writes at a time.
+The notes follow the counter in ``Scene.invalid`` (``invalid.py``): their number, then a row each. Other kernels of the
+same call pass an array that ends behind the counter, and note nothing. One thread writes at a time.
 """
 
 import functools

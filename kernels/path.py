@@ -1,7 +1,7 @@
-"""The one path loop: camera ray, emission, next-event estimation, scattering, Russian roulette.
+"""The path loop: camera ray, emission, next-event estimation, scattering, Russian roulette.
 
-At every vertex L_n = E_n + D_n + beta_n L_{n+1} [Vea97]: E_n the emission that the incoming ray hits, D_n the
-next-event estimate, beta_n = f_s / (p q). ``path_step`` computes one vertex and the state from which the next one
+At every vertex L_n = E_n + D_n + beta_n L_{n+1} [Vea97]: E_n is the emission that the incoming ray hits, D_n the
+next-event estimate, and beta_n = f_s / (p q). ``path_step`` computes one vertex and the state from which the next one
 follows. Depth counts as in Mitsuba's ``path``.
 
 Derivation: ``docs/theory/interior.md#the-path-loop``.

@@ -1,8 +1,8 @@
-"""How far the light of a path vertex has gone: optical path lengths of what the vertex sends to the camera.
+"""Optical path lengths of the light that a path vertex sends to the camera.
 
-Emission E_n and the next-event estimate D_n of a vertex arrive at different times, so they are kept apart: E_n has gone
-ell_n = sum_{k <= n} eta_k |x_k - x_{k-1}|, eta_k the index of refraction of the medium that the segment passes, and D_n
-has gone ell_n + eta |y - x_n|, y the point of the light.
+Emission E_n and the next-event estimate D_n of a vertex arrive at different times, so they are kept apart. E_n has gone
+ell_n = sum_{k <= n} eta_k |x_k - x_{k-1}|, with eta_k the index of refraction of the segment's medium. D_n has gone
+ell_n + eta |y - x_n|, with the light point y.
 
 Derivation: ``docs/theory/transient.md#lengths-of-paths``.
 """

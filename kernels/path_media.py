@@ -1,10 +1,9 @@
-"""One step of a path in a scene with media: a flight, and the vertex that it ends at (``path.py`` has that without).
+"""One step of a path in a scene with media: a flight, and the vertex at its end (``path.py``: scenes without media).
 
-At every step L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}): V_n is the factor of the flight through the medium that the
-ray is in, over its density, M_n what the medium emits along it; the vertex behind it is a collision (E_n = 0), a
-surface, or what lies behind the scene.
-Surfaces that let light pass without turning it are steps, but do not count as depth; collisions do, as in Mitsuba's
-``volpath``.
+At every step L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}). V_n is the factor of the flight through the ray's medium,
+over its density, and M_n what the medium emits along it. The vertex at the end is a collision (E_n = 0), a surface, or
+the sky behind the scene. Surfaces that let light pass without turning it are steps, but do not count as depth;
+collisions do, as in Mitsuba's ``volpath``.
 
 Derivation: ``docs/theory/media.md#paths``.
 """

@@ -1,4 +1,4 @@
-"""The primal pass: images by the path loop of ``path.py``; ``splat.py`` has that of wide pixel filters."""
+"""Images by the path loop of ``path.py``; ``splat.py`` draws images with wide pixel filters."""
 
 import functools
 from typing import NamedTuple

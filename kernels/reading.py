@@ -1,6 +1,7 @@
-"""Reads of the scene's arrays, without Warp's test of an index for its sign, which took 3 % of an image.
+"""Reads of the scene's arrays without Warp's test of an index for its sign, which took 3 % of the time of an image.
 
-Word by word: a load of two or more at a time would keep loops over lanes from becoming SIMD (``lanes.py``).
+Reads are word by word: a load of two or more words at a time would keep loops over lanes from becoming SIMD
+(``lanes.py``).
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""Fixed-order sums over the lanes' gradients and images."""
+"""Sums over the lanes' gradients and images, in a fixed order."""
 
 import warp as wp
 

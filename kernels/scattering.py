@@ -1,8 +1,8 @@
-"""The parts of one path vertex: what arrives there, the light that is drawn for it, and the direction that goes on.
+"""The parts of one path vertex: incident emission, the light drawn for it, and the direction in which the path goes on.
 
-``path.py`` puts them together for one path, ``path_lanes.py`` for several side by side. There each part is the body of
-a loop over lanes that the compiler turns into SIMD, which asks for few branches, none of them around a load and none
-that ends in a vector: below, what does not count is computed and then not selected.
+``path.py`` puts them together for one path, ``path_lanes.py`` for several side by side. There, each part is the body of
+a loop over lanes that the compiler turns into SIMD. This needs few branches, none of them around a load and none that
+ends in a vector; results that do not count are therefore computed and then not selected.
 """
 
 import functools

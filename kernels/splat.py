@@ -1,14 +1,13 @@
-"""The primal image under a filter that reaches beyond its pixel: every sample counts for all pixels that it reaches.
+"""The image under a filter that reaches beyond its pixel: every sample counts for all pixels within the filter's reach.
 
-Samples are uniform over each pixel's square; pixel j receives sum_i h(s_i - j) L_i / sum_i h(s_i - j), the usual ratio
-estimator of the filtered radiance. Compared with drawing one pixel's offsets from the filter (``film.py``, what the
-differential passes do, since there a sample has one pixel's adjoint) it uses each path some 4 pi sigma^2 times: the
-variance of a Gaussian of half a pixel falls by 3. Where the film samples its border, the raster is extended by the
-filter's reach. Both estimate the same quantity.
-
-Neighbouring threads would add to the same pixels, so on the CPU every lane of a launch has a film of its own: vec4,
-the weighted radiance and the weight. ``collect`` adds the lanes in fixed order to a film in double precision; the host
-calls it every so many samples, since a float32 sum of very many terms loses digits, and after 2^24 stands still.
+Samples are uniform over each pixel's square. Pixel j receives sum_i h(s_i - j) L_i / sum_i h(s_i - j), the usual ratio
+estimator of the filtered radiance. It uses each path some 4 pi sigma^2 times, compared with drawing one pixel's offsets
+from the filter (``film.py``); the variance of a Gaussian of half a pixel falls by 3. Differential passes use
+``film.py`` all the same, since there a sample has one pixel's adjoint. Both estimate the same quantity. If the film
+samples its border, the raster is extended by the filter's reach. On the CPU every lane of a launch has a film of its
+own (vec4, the weighted radiance and the weight), because neighbouring threads would add to the same pixels.
+``films.collect`` adds the lanes in fixed order to a film in double precision, every so many samples, since long float32
+sums lose digits.
 """
 
 import functools
@@ -20,7 +19,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX, RFILTER_TENT
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.lanes.waiting_lanes import CameraPath
-from warp_psdr.kernels.modules import SCENE, wide_vectors
+from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primal import make_image_paths
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -133,33 +132,3 @@ def make_splat_kernel(config: PathConfig):
                     count_invalid(scene, sampler_in(job.pixels, bundle, j))
 
     return splat
-
-
-@wp.kernel(module=SCENE, enable_backward=False)
-def collect(
-    # In and out:
-    films: wp.array3d(dtype=wp.vec4),
-    # Out:
-    film_out: wp.array2d(dtype=wp.vec4d),
-):
-    """Add the lanes' films in fixed order to one in double precision, and clear them."""
-    row, column = wp.tid()
-    total = film_out[row, column]
-    for lane in range(films.shape[0]):
-        total += wp.vec4d(films[lane, row, column])
-        films[lane, row, column] = wp.vec4()
-    film_out[row, column] = total
-
-
-@wp.kernel(module=SCENE, enable_backward=False)
-def resolve(
-    # In:
-    film: wp.array2d(dtype=wp.vec4d),
-    # Out:
-    image_out: wp.array2d(dtype=wp.vec3),
-):
-    """Divide by the weights."""
-    row, column = wp.tid()
-    total = film[row, column]
-    if total[3] > wp.float64(0.0):
-        image_out[row, column] = wp.vec3(wp.vec3d(total[0], total[1], total[2]) / total[3])

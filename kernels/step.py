@@ -1,8 +1,8 @@
-"""The step by which rays leave surfaces and look past edges: long enough for float32, short for what is small.
+"""The ray offset: the step by which rays leave surfaces and pass edges, long for float32, short for small shapes.
 
-The step is a multiple of u = 2^-24 times the largest coordinate: ``Scene.ray_epsilon`` for all triangles, or, where
-shapes are small for that, ``LEAVE`` (6.4 u) of the triangle's own largest coordinate, and ``Shape.edge_step`` past
-edges.
+The step is a multiple of u = 2^-24 times the largest coordinate. It is ``Scene.ray_epsilon`` for all triangles, or,
+where shapes are too small for that, ``LEAVE`` (6.4 u) of the triangle's own largest coordinate, and ``Shape.edge_step``
+past edges.
 
 Derivation: ``docs/theory/numerics.md#steps-off-surfaces-and-past-edges``.
 """

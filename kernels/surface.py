@@ -1,12 +1,12 @@
-"""A point on a triangle, and where its adjoint goes.
+"""A point on a triangle, and the sinks for its adjoint.
 
 A vertex of a light path is ``x = (1 - u - v) p0 + u p1 + v p2``. Its triangle is attached; its barycentrics are
 
-* detached in **material form** (survey eq. 10: the point rides on its triangle), or
+* detached in **material form** ([ZCZ25] eq. 10: the point rides on its triangle), or
 * attached where a ray with an attached origin and direction finds it (the first vertex, seen through a fixed film
   position, and every vertex behind a smooth mirror or glass): there ``(u, v) = barycentrics(o, d, p0, p1, p2)``.
 
-The functions named ``*_dot`` are the local factors of the geometry: each folds its adjoint in and returns a scalar, so
+The functions named ``*_dot`` are the local factors of the geometry. Each folds its adjoint in and returns a scalar, so
 that ``wp.grad`` of it is a vector-Jacobian product. They hold no loop and mutate nothing (kernels are built with
 ``enable_backward=False``; only these functions are differentiated).
 """

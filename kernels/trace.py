@@ -1,4 +1,4 @@
-"""Draws the path of one sample again and writes its vertices: what made a sample that is not finite."""
+"""Draws the path of one sample again and writes its vertices, to find why a sample is not finite."""
 
 import functools
 

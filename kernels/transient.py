@@ -1,7 +1,8 @@
 """The image of a transient film: light of every path length in bins of its own [WCRZ21, YKC*21].
 
-The path loop is that of ``path.py``; what a vertex sends is not added to the path's radiance but to the bins of its
-path length (``sensor/time_gate.py``). Camera rays are drawn from the pixel filter, so a sample counts in one pixel.
+The path loop is that of ``path.py``. The light of a vertex goes to the bins of its path length
+(``sensor/time_gate.py``) and not to the path's radiance. Camera rays are drawn from the pixel filter, so a sample
+counts in one pixel.
 
 Derivation: ``docs/theory/transient.md``.
 """

@@ -1,9 +1,9 @@
-"""Shadow rays through surfaces that let light pass without turning it: masks, thin glass, and what is not there.
+"""Shadow rays through surfaces that let light pass without turning it: masks, thin glass, and ``null``.
 
-The transmittance of a segment is the product of the null lobes' weights of what it crosses, T = prod T_i; a surface
-without a null lobe blocks it. A path that drew the same direction finds the same light with the density p prod P_i, P_i
-the probability of the null lobe: both techniques of multiple importance sampling weigh with that, and measure distances
-from where the direction was drawn. A crossing counts as a path vertex.
+The transmittance of a segment is the product of the null lobes' weights on its way, T = prod T_i; a surface without a
+null lobe blocks it. A path that drew the same direction finds the same light with the density p prod P_i, with the
+probability P_i of the null lobe. Both techniques of multiple importance sampling use that density, and measure
+distances from where the direction was drawn. A crossing counts as a path vertex.
 
 Derivation: ``docs/theory/interior.md#null-lobes``.
 """

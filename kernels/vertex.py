@@ -1,4 +1,4 @@
-"""What paths are made of: the configuration that their kernels are compiled for, their states and their vertices."""
+"""The records of paths: the configuration that their kernels are compiled for, their states and their vertices."""
 
 from dataclasses import dataclass
 

@@ -1,10 +1,9 @@
-"""What rays meet, and whether light passes between two points: the one door to ray queries.
+"""Ray queries for all kernels: the hit of a ray, and whether light passes between two points.
 
-A segment is free where no ray hits anything on it. Where light passes surfaces (masks, thin glass), the transmittance
-of a shadow ray's segment takes the place of ``occluded`` (``transmittance.py``).
-
-The camera's own rays meet everything, or where lights are hidden (``hide_emitters``) all but area lights: a structure
-without the lights, and no rays that go on behind what they met, since a step past a light would cross what touches it.
+A segment is free if no ray hits anything on it. Where light passes surfaces (masks, thin glass), the transmittance of a
+shadow ray's segment replaces ``occluded`` (``transmittance.py``). The camera's own rays meet everything, or all but
+area lights where lights are hidden (``hide_emitters``): a structure without the lights, and no rays that continue
+behind a light, since a step past the light would cross whatever touches it.
 """
 
 import functools

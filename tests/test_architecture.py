@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 import warp as wp
 
+from warp_psdr.kernels import modules
+
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
 DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
@@ -20,7 +22,7 @@ MAX_LINES = 500
 HOST_LAYERS = (
     {
         *("arrays", "compiler", "device", "exr_header", "files", "float_images", "headers", "html", "image"),
-        *("image_io", "invalid", "losses", "plots", "progress", "quiet", "workers"),
+        *("image_io", "invalid", "kernel_cache", "losses", "plots", "progress", "quiet", "startup", "workers"),
     },
     {"options"},
     {"scene"},
@@ -174,6 +176,15 @@ def device_names(source: str) -> Iterator[str]:
         if isinstance(node, ast.ClassDef | ast.FunctionDef):
             if any(re.match(r"wp\.(struct|func|kernel)", ast.unparse(d)) for d in node.decorator_list):
                 yield node.name
+
+
+def shared_modules(source: str) -> Iterator[str]:
+    """Names of the modules that a device file's own kernels share with others."""
+    for node in parsed(source).body:
+        for decorator in node.decorator_list if isinstance(node, ast.FunctionDef) else ():
+            for keyword in decorator.keywords if isinstance(decorator, ast.Call) else ():
+                if keyword.arg == "module" and isinstance(keyword.value, ast.Name):
+                    yield keyword.value.id
 
 
 def is_constant_name(node: ast.expr) -> bool:
@@ -335,6 +346,16 @@ def test_editors_go_to_the_definition(code: str, column: int, file: str) -> None
     script = jedi.Script(code, path=ROOT / "script.py", project=jedi.Project(ROOT))
     found = script.goto(1, column, follow_imports=True)
     assert [Path(name.module_path).resolve() for name in found] == [ROOT / file]
+
+
+def test_who_compiles_a_shared_module_knows_its_files() -> None:
+    """A kernel that is imported later would compile the module anew."""
+    found: dict[str, set[str]] = {}
+    for path in DEVICE_FILES:
+        file = ".".join(path.relative_to(ROOT / "kernels").with_suffix("").parts)
+        for name in shared_modules(path.read_text()):
+            found.setdefault(getattr(modules, name), set()).add(file)
+    assert found == {name: set(files) for name, files in modules.FILES.items()}
 
 
 def test_there_are_files_to_check() -> None:

@@ -9,6 +9,22 @@ ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ["matplotlib", "OpenEXR", "PIL", "pyvista", "rich", "scipy", "torch", "trimesh", "vtkmodules", "mitsuba"]
 
 
+def test_importing_the_package_loads_none_of_its_modules() -> None:
+    """Nor Warp: what a program uses is loaded when it uses it, and a wrong file name costs nothing."""
+    code = "import sys; before = set(sys.modules); import warp_psdr; print(*sorted(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    assert [m for m in loaded if m.startswith(("warp_psdr.", "warp."))] == []
+    assert "warp_psdr" in loaded and "warp" not in loaded and "numpy" not in loaded
+
+
+def test_public_names_are_functions_where_modules_have_the_same_name() -> None:
+    code = "import warp_psdr.plan.plan, warp_psdr.render, warp_psdr.view.viewer, warp_psdr.accuracy.pilot\n"
+    code += "import warp_psdr as psdr\nprint([callable(f) for f in (psdr.plan, psdr.render, psdr.view, psdr.accuracy)])"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[True, True, True, True]"
+
+
 def test_import_is_light() -> None:
     """That of the library, which all of these import, and of what draws and shows."""
     code = "import warp_psdr.cli, warp_psdr.plots, warp_psdr.view.viewer, json, sys\n"

@@ -266,3 +266,54 @@ def test_an_optimiser_of_torch_moves_a_network() -> None:
     now = Net([(layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in linear], 0, False, 10.0)
     expected = module(torch.from_numpy(x.astype(np.float32))).detach().numpy()[:, 0]
     np.testing.assert_allclose(now.phi(x), expected, atol=1e-5)
+
+
+def test_several_cameras_have_the_sum_of_their_gradients() -> None:
+    """Side by side on the film of a batch, and in a stack."""
+    torch = pytest.importorskip("torch")
+    film = {"type": "hdrfilm", "width": 8, "height": 6, "rfilter": {"type": "box"}}
+    eyes = {"a": [0, 0, 3], "b": [1, 0, 2]}
+    cameras = {
+        name: {"type": "perspective", "film": film, "to_world": psdr.Transform.look_at(eye, [0, 0, 0], [0, 1, 0])}
+        for name, eye in eyes.items()
+    }
+    rig = {"type": "batch", "film": {**film, "width": 16}, **cameras}
+    node = {"integrator": {"type": "path", "max_depth": 2}, "rig": rig, "wall": {"type": "rectangle"}}
+    both = psdr.load_dict({"type": "scene", **node, "sky": {"type": "constant"}})
+    weights = torch.from_numpy(np.random.default_rng(0).normal(size=(2, 6, 8, 3)).astype(np.float32))
+
+    def gradient(sensor, factors):
+        albedo = torch.tensor([0.5], requires_grad=True)
+        image = psdr.torch.render(both, {WALL: albedo}, sensor=sensor, **OPTIONS)
+        (factors * image).sum().backward()
+        return image.detach(), albedo.grad
+
+    images, alone = zip(*(gradient(f"rig.{name}", weights[i]) for i, name in enumerate(eyes)), strict=True)
+    stack, of_stack = gradient(["rig.a", "rig.b"], weights)
+    beside, of_batch = gradient("rig", torch.cat(tuple(weights), dim=1))
+    assert stack.shape == (2, 6, 8, 3) and beside.shape == (6, 16, 3)
+    assert torch.equal(stack, torch.stack(images)) and torch.equal(beside, torch.cat(images, dim=1))
+    assert all(torch.any(g != 0.0) for g in alone)
+    torch.testing.assert_close(of_stack, sum(alone))
+    torch.testing.assert_close(of_batch, sum(alone))
+
+
+@pytest.mark.filterwarnings("ignore:The .grad attribute")  # PyTorch's own, of the tensors where a graph breaks
+def test_torch_compile_leaves_the_call_alone(scene) -> None:
+    """Its graphs break there, without tracing into Warp: no warning, and a seed more compiles nothing anew."""
+    torch = pytest.importorskip("torch")
+
+    def loss(raw, seed):
+        image = psdr.torch.render(scene, wall_and_sky(torch, torch.sigmoid(raw)), spp=8, seed=seed)
+        return (2.0 * image).square().mean()
+
+    compiled = torch.compile(loss, backend="aot_eager")
+    for seed in range(3):
+        found = []
+        for function in (loss, compiled):
+            raw = torch.tensor([0.1, 0.2, 0.3], requires_grad=True)
+            value = function(raw, seed)
+            value.backward()
+            found += [value.detach(), raw.grad]
+        torch.testing.assert_close(found[2:], found[:2])
+        assert found[1].abs().min() > 0.0

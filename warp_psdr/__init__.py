@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import gc
 import importlib
+import sys
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-_collects = gc.isenabled()
-gc.disable()  # hundreds of thousands of objects stay: looking for garbage takes a third of the time
-try:
-    from warp_psdr import boundary, guiding, interior, losses, optim
+if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
+    from warp_psdr import boundary, fit, guiding, image_io, interior, losses, optim, plots, sdf
+    from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
     from warp_psdr.estimate.trace import Trace, trace_sample
     from warp_psdr.image import Image
+    from warp_psdr.image_io import read_image, write_image
     from warp_psdr.invalid import invalid_samples
     from warp_psdr.moment import render_moment
     from warp_psdr.options.integrator import PathIntegrator
@@ -27,18 +29,10 @@ try:
     from warp_psdr.scene.cornell_box import cornell_box
     from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
     from warp_psdr.scene.parameters import Parameters, traverse
+    from warp_psdr.scene.scene import Scene
     from warp_psdr.scene.transforms import Transform
     from warp_psdr.view.viewer import view
     from warp_psdr.workers import set_workers
-finally:
-    if _collects:
-        gc.enable()
-
-if TYPE_CHECKING:
-    from warp_psdr import fit, image_io, plots, sdf
-    from warp_psdr import torch as torch
-    from warp_psdr.image_io import read_image, write_image
-    from warp_psdr.scene.scene import Scene
 
 __version__ = "0.1.0"
 
@@ -86,22 +80,71 @@ __all__ = [
     "write_image",
 ]
 
-#: Modules that need more than Warp and NumPy; each is loaded when it is first used. ``torch`` is not in ``__all__``: a
-#: star import would ask for PyTorch.
-_LAZY_MODULES = ("fit", "image_io", "plots", "sdf", "torch")
-_LAZY_NAMES = {
-    "Scene": "warp_psdr.scene.scene",
-    "read_image": "warp_psdr.image_io",
-    "write_image": "warp_psdr.image_io",
+#: The module of each public name, and of each public module itself, which is loaded when the name is first used.
+#: ``torch`` is not in ``__all__``: a star import would ask for PyTorch.
+_PUBLIC = {
+    "BoundaryTrace": "estimate.boundary.trace",
+    "Compilation": "estimate.compile",
+    "Image": "image",
+    "Parameters": "scene.parameters",
+    "PathIntegrator": "options.integrator",
+    "Plan": "plan.plan",
+    "Scene": "scene.scene",
+    "SceneWarning": "scene.load",
+    "Trace": "estimate.trace",
+    "Transform": "scene.transforms",
+    "accuracy": "accuracy.pilot",
+    "compile": "estimate.compile",
+    "cornell_box": "scene.cornell_box",
+    "invalid_samples": "invalid",
+    "load_dict": "scene.load",
+    "load_file": "scene.load",
+    "load_string": "scene.load",
+    "methods": "options.methods",
+    "plan": "plan.plan",
+    "read_image": "image_io",
+    "render": "render",
+    "render_aov": "aov",
+    "render_backward": "render",
+    "render_forward": "render",
+    "render_moment": "moment",
+    "render_parts": "parts",
+    "set_ray_backend": "scene.acceleration",
+    "set_workers": "workers",
+    "trace_sample": "estimate.trace",
+    "traverse": "scene.parameters",
+    "view": "view.viewer",
+    "write_image": "image_io",
 }
+_MODULES = ("boundary", "fit", "guiding", "image_io", "interior", "losses", "optim", "plots", "sdf", "torch")
+
+
+class _Package(ModuleType):
+    """This module: a public name that a submodule has, too (``plan``, ``render``, ``view``), is never the submodule."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name not in _PUBLIC or not isinstance(value, ModuleType):  # Python sets submodules that it has loaded
+            super().__setattr__(name, value)
+
+
+sys.modules[__name__].__class__ = _Package
 
 
 def __getattr__(name: str) -> Any:
-    if name in _LAZY_MODULES:
-        return importlib.import_module(f"warp_psdr.{name}")
-    if name in _LAZY_NAMES:
-        return getattr(importlib.import_module(_LAZY_NAMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in _PUBLIC and name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    collects = gc.isenabled()
+    gc.disable()  # hundreds of thousands of objects stay: looking for garbage takes a third of the time
+    try:
+        module = importlib.import_module(f"{__name__}.{_PUBLIC.get(name, name)}")
+    finally:
+        if collects:
+            gc.enable()
+    if name in _MODULES:
+        return module
+    value = getattr(module, name)
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

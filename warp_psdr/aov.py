@@ -10,12 +10,14 @@ import warp as wp
 
 from warp_psdr.estimate.arguments import checked_seed, sample_count
 from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, visible
+from warp_psdr.estimate.views import count_of_views, each, shape_of_views, whole
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.aov import CHANNELS
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene.aovs import check_type, parse_aovs
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ def render_aov(
     scene: Scene,
     aovs: str | Sequence[str] | Mapping[str, str] | None = None,
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     spp: int | None = None,
     seed: int = 0,
     progress: Progress | None = None,
@@ -51,26 +53,32 @@ def render_aov(
             * ``albedo``: diffuse reflectance, or pi times what is scattered along the normal;
             * ``prim_index``, ``shape_index``: of the triangle in its shape, and of the shape in the scene;
             * ``mask``: share of the pixel that sees a surface.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits.
         progress: called with the finished fraction.
 
     Returns:
-        name -> ``wp.array2d``, shape (H, W) of the crop window, of float32, vec2 (``uv``) or vec3.
+        name -> ``wp.array2d``, shape (H, W) of the crop window, or (B, H, W) of a list of sensors, of float32, vec2
+            (``uv``) or vec3.
 
     Raises:
         ValueError: nothing or an unknown type is asked for, or an option is out of range.
     """
     check_loaded(scene)
     wanted = _wanted(scene, aovs)
-    number = scene.description.sensor_number(sensor)
-    spp, seed = sample_count(scene, number, spp), checked_seed(seed)
-    parts = scene.description.parts_of(number)
-    if parts:
-        each = [render_aov(scene, wanted, sensor=n, spp=spp, seed=seed, progress=progress) for n in parts]
-        beside = {name: np.concatenate([images[name].numpy() for images in each], axis=1) for name in wanted}
-        return {n: wp.array(beside[n], dtype=each[0][n].dtype, device=scene.device) for n in wanted}
+    views, seed = scene.description.views(sensor), checked_seed(seed)
+    if views.several:
+        spp = count_of_views(scene, views, spp)
+        shape_of_views(scene, views)  # stacks only what has one size
+        found_of = [
+            render_aov(scene, wanted, sensor=n, spp=spp, seed=seed, progress=told)
+            for n, _place, told in each(scene, views, progress)
+        ]
+        together = {name: whole(views, [images[name].numpy() for images in found_of]) for name in wanted}
+        return {n: wp.array(together[n], dtype=found_of[0][n].dtype, device=scene.device) for n in wanted}
+    number = views.sensors[0]
+    spp = sample_count(scene, number, spp)
     # At depth 2 a plan asks for the materials, and the camera sees the lights.
     plan = decide(scene, integrator=PathIntegrator(max_depth=2), sensor=number)
     rows = visible(scene, plan, number, spp, mix_seed(seed, STREAM_PRIMAL), progress)

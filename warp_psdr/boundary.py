@@ -1,4 +1,4 @@
-"""The boundary term (survey eq. 12 second term, sections 2.1, 2.2 and 4): its methods, one object each."""
+"""The boundary term ([ZCZ25] eq. 12 second term, sections 2.1, 2.2 and 4): its methods, one object each."""
 
 from warp_psdr.options.boundary import (
     EdgeSampling,

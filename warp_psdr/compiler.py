@@ -7,25 +7,30 @@ loaded by whoever asks for it, at once. Results do not depend on when or where a
 
 from __future__ import annotations
 
+import importlib
+import math
 import os
 import sys
 import threading
 import time
-from collections.abc import Collection, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Collection, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import warp as wp
 
-from warp_psdr import headers, workers
-from warp_psdr.quiet import quiet
+from warp_psdr import headers, kernel_cache, workers
+from warp_psdr.kernels.modules import FILES
+from warp_psdr.progress import draws_bars, progress
 
 #: Most threads that compile.
 MOST_THREADS = 8
-#: Threads of a block on CUDA, ``wp.launch``'s default.
-CUDA_BLOCK = 256
-#: What a compiled module leaves in the kernel cache.
-BINARIES = (".o", ".ptx", ".cubin")
+#: Seconds that a kernel takes, before this process has compiled one.
+TYPICAL_SECONDS = 5.0
+#: How often a bar is drawn anew.
+BAR_SECONDS = 0.2
 
 
 @dataclass
@@ -50,6 +55,7 @@ _pool_size = 0
 _said: set[Future | None] = set()
 #: What this process has compiled, in the order in which it was done.
 done: list[Compiled] = []
+_reason: ContextVar[str] = ContextVar("reason", default="")
 
 
 def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
@@ -62,7 +68,10 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
         return started  # the interpreter takes no more threads
     for module in dict.fromkeys(kernel.module for kernel in kernels):
         key = (module, device.alias)
-        if key in _loaded or key in _jobs or _cached(module, device):
+        if key in _loaded or key in _jobs:
+            continue
+        _complete(module)
+        if kernel_cache.contains(module, device):
             continue
         if device.is_cpu:
             headers.begin()
@@ -92,8 +101,7 @@ def ensure(kernels: Collection[wp.Kernel], device: wp.Device | str | None) -> No
             if job is not None:
                 _await(job)
             else:
-                with quiet():
-                    wp.load_module(module, device=device, block_dim=_block(device))
+                kernel_cache.load(module, device)
             _loaded.add(key)
         finally:
             with _lock:
@@ -101,23 +109,52 @@ def ensure(kernels: Collection[wp.Kernel], device: wp.Device | str | None) -> No
                 _said.discard(job)
 
 
-def start_warp() -> None:
-    """Initialise Warp without its greeting; a program that calls ``wp.init()`` itself gets to see it."""
-    with quiet():
-        wp.init()
+@contextmanager
+def because(reason: str) -> Iterator[None]:
+    """Say why kernels are compiled that are first needed meanwhile: "to compare ...", in the line about them."""
+    token = _reason.set(reason)
+    try:
+        yield
+    finally:
+        _reason.reset(token)
 
 
 def _await(job: Future) -> None:
-    """Wait for a job, and say once what is being compiled if that is not done."""
+    """Wait for a job; say once what is being compiled, and show a bar on a terminal and in a notebook."""
     if not job.done():
         with _lock:
             running = [j for j in _jobs.values() if not j.done()]
             news = job not in _said
             _said.update(running)
         if news:
-            kernels = f"{len(running)} kernels" if len(running) != 1 else "1 kernel"
-            print(f"warp_psdr: compiling {kernels}, once (cached)", file=sys.stderr, flush=True)
+            print(_line(len(running)), file=sys.stderr, flush=True)
+        if draws_bars(sys.stderr):
+            _show(job, running)
     job.result()
+
+
+def _line(kernels: int) -> str:
+    """Return what is being compiled, why, and about how long that takes."""
+    taken = [c.seconds for c in done]
+    seconds = max(sum(taken) / len(taken) if taken else TYPICAL_SECONDS, 1.0)
+    seconds *= math.ceil(kernels / max(_pool_size, 1))
+    what = f"{kernels} kernels" if kernels != 1 else "1 kernel"
+    reason = f" {_reason.get()}" if _reason.get() else ""
+    return f"warp_psdr: compiling {what}{reason} (first use; kept for next time), about {seconds:.0f} s"
+
+
+def _show(job: Future, running: list[Future]) -> None:
+    """Show how many of the running jobs are done, until ``job`` is."""
+    with progress("compiling", len(running)) as report:
+        while not job.done():
+            report(sum(j.done() for j in running), "")
+            wait([job], timeout=BAR_SECONDS)
+
+
+def _complete(module: wp.Module) -> None:
+    """Import all files whose kernels share a module, for one that joins later would compile it anew."""
+    for file in FILES.get(module.name, ()):
+        importlib.import_module(f"warp_psdr.kernels.{file}")
 
 
 def _compile(module: wp.Module, device: wp.Device) -> None:
@@ -125,8 +162,7 @@ def _compile(module: wp.Module, device: wp.Device) -> None:
     if not threading.main_thread().is_alive():
         return  # the program ends, and nobody waits for this
     start = time.perf_counter()
-    with quiet():
-        wp.load_module(module, device=device, block_dim=_block(device))
+    kernel_cache.load(module, device)
     done.append(Compiled(_name(module), time.perf_counter() - start))
 
 
@@ -134,24 +170,6 @@ def _name(module: wp.Module) -> str:
     """Return what a module holds, for people: its kernel's name, or its own."""
     kernels = list(module.kernels)
     return kernels[0].rpartition("__")[2] if len(kernels) == 1 else module.name
-
-
-def _cached(module: wp.Module, device: wp.Device) -> bool:
-    """Return whether the kernel cache has a module's binary.
-
-    A binary for another machine in the same place is taken for it: the thread that loads it compiles then.
-    """
-    identifier = module.get_module_identifier(_block(device))
-    try:
-        files = os.listdir(os.path.join(wp.config.kernel_cache_dir or "", identifier))
-    except OSError:
-        return False
-    return any(name.endswith(BINARIES[:1] if device.is_cpu else BINARIES[1:]) for name in files)
-
-
-def _block(device: wp.Device) -> int:
-    """Return how many threads a launch's block has: a module is compiled for each number."""
-    return 1 if device.is_cpu else CUDA_BLOCK
 
 
 def _threads() -> ThreadPoolExecutor:
@@ -163,3 +181,22 @@ def _threads() -> ThreadPoolExecutor:
             _pool.shutdown(wait=False)
         _pool, _pool_size = ThreadPoolExecutor(size, thread_name_prefix="warp_psdr-compile"), size
     return _pool
+
+
+def _before_fork() -> None:
+    """Wait for what is being compiled: a child that is forked meanwhile would find the compiler's locks taken."""
+    with _lock:
+        running = list(_jobs.values())
+    wait(running)
+
+
+def _after_fork_in_child() -> None:
+    """Forget the threads, which a forked process does not have."""
+    global _lock, _pool
+    _lock, _pool = threading.Lock(), None
+    _jobs.clear()
+    _said.clear()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(before=_before_fork, after_in_child=_after_fork_in_child)

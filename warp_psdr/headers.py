@@ -41,6 +41,16 @@ def begin() -> None:
         _parsing.start()
 
 
+def _after_fork_in_child() -> None:
+    """Let a forked process parse again: the thread that did so may not have come to its end."""
+    global _lock, _parsing
+    _lock, _parsing = threading.Lock(), None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork_in_child)
+
+
 def _parse() -> None:
     """Parse the headers; an error is for who compiles a kernel, and meets it again."""
     with quiet():

@@ -1,4 +1,4 @@
-"""The interior term (survey eq. 12 first term, section 3): its methods, one object each, and their comparison."""
+"""The interior term ([ZCZ25] eq. 12 first term, section 3): its methods, one object each, and their comparison."""
 
 from warp_psdr.accuracy.methods import Compared, Comparison, compare
 from warp_psdr.options.interior import (

@@ -10,12 +10,14 @@ import warp as wp
 from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import checked_seed, sample_count
 from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, boxed, splats
+from warp_psdr.estimate.views import assembled, count_of_views, whole
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
@@ -27,7 +29,7 @@ if TYPE_CHECKING:
 def render_moment(
     scene: Scene,
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     integrator: PathIntegrator | dict | str | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -42,7 +44,7 @@ def render_moment(
 
     Args:
         scene: a loaded scene.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: as for ``render``; default: the one nested in the ``moment`` of the scene's file.
         spp: samples a pixel, N; default: the sensor's sample count.
         seed: equal seeds give equal bits.
@@ -50,13 +52,24 @@ def render_moment(
 
     Returns:
         The image, W/m^2/sr, and the second moment, its unit squared; both ``wp.array2d`` of vec3, (H, W) of the crop
-        window.
+        window, or (B, H, W) of a list of sensors.
 
     Raises:
         ValueError: an option is out of range, or the camera's filter lets a sample count for several pixels.
     """
     check_loaded(scene)
-    number = scene.description.camera_number(sensor)
+    views = scene.description.views(sensor)
+    if views.several:
+        spp, squares = count_of_views(scene, views, spp), []
+
+        def draw(one: int, told: Progress | None) -> Image:
+            found, moment = render_moment(scene, sensor=one, integrator=integrator, spp=spp, seed=seed, progress=told)
+            squares.append(moment.numpy())
+            return found
+
+        image = assembled(scene, views, draw, progress)
+        return image, wp.array(whole(views, squares), dtype=wp.vec3, device=scene.device)
+    number = views.sensors[0]
     require_steady(scene, number, "render_moment")
     camera = scene.camera(number)
     if splats(camera):

@@ -52,10 +52,8 @@ def render_parts(
         ValueError: as of ``render_forward``, or a batch of sensors.
     """
     check_loaded(scene)
-    number = scene.description.sensor_number(sensor)
+    number = scene.description.camera_number(sensor)
     require_steady(scene, number, "render_parts")
-    if scene.description.parts_of(number):
-        raise ValueError(f"render_parts got sensor {sensor!r}, a batch; name one of its sensors")
     if not tangents:
         raise ValueError("render_parts needs at least one tangent: {'parameter name': direction}")
     spp, seed = sample_count(scene, number, spp), checked_seed(seed)

@@ -40,7 +40,7 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
     stream = sys.stderr if stream is None else stream
     clock = _Clock(total, start)
     lock = threading.Lock()  # worker threads report too
-    if stream.isatty() or shows_widgets():
+    if draws_bars(stream):
         bar = _Bar(title, total, clock, stream)
         try:
 
@@ -64,6 +64,11 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
                 print(f"{said}  {clock.elapsed()}, {clock.left(done)}", file=stream, flush=True)
 
     yield report_line
+
+
+def draws_bars(stream: TextIO) -> bool:
+    """Whether progress on a stream is a bar: on a terminal, and in a notebook."""
+    return stream.isatty() or shows_widgets()
 
 
 def shows_widgets() -> bool:

@@ -20,7 +20,6 @@ from warp_psdr.estimate.arguments import (
     sample_count,
     samples,
 )
-from warp_psdr.estimate.batch import beside, columns
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import Term, terms
 from warp_psdr.estimate.gradient_sums import GradientSums
@@ -35,18 +34,21 @@ from warp_psdr.estimate.passes import (
     splatted,
     timed,
 )
+from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, shape_of_views
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
+from warp_psdr.kernels.films import resolve
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.kernels.splat import resolve
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
 from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.derived_values import pull_kernels
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.edits import checksum
 from warp_psdr.scene.loaded import check_loaded
+from warp_psdr.scene.parameters import check_owner
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
@@ -62,7 +64,7 @@ def render(
     scene: Scene,
     params: Parameters | None = None,
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
     spp_grad: int | None = None,
@@ -79,7 +81,7 @@ def render(
     Args:
         scene: a loaded scene.
         params: its parameters; needed with a tape only.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: a ``PathIntegrator``, or Mitsuba's dictionary (``{"type": "path", "max_depth": 4}``) or plugin name;
             default: what the scene file names, else ``PathIntegrator()``.
         spp: samples a pixel; default: the sensor's sample count.
@@ -97,17 +99,21 @@ def render(
 
     Returns:
         ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter
-            (``psdr.Image``, which notebooks show). Of a ``transient_hdr_film``: (H, W, bins), the radiance of light
-            that arrives within each bin, whose sum is the image of light of all those lengths.
+            (``psdr.Image``, which notebooks show). Of a list of sensors (B, H, W), of a ``batch`` side by side. Of a
+            ``transient_hdr_film``: (H, W, bins), the radiance of light that arrives within each bin, whose sum is the
+            image of light of all those lengths.
 
     Raises:
         ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
             what is requested moves a discontinuity that the method of the boundary term does not cover.
     """
     from warp_psdr.accuracy import budget, quantity
+    from warp_psdr.accuracy import views as quantities
 
     check_loaded(scene)
-    sensor = scene.description.sensor_number(sensor)
+    views = scene.description.views(sensor)
+    if params is not None:
+        check_owner(scene, params)
     if tape is None and params is not None and params.requested:
         tape = active_tape()
     if budget.check(spp, target_error, time_budget, report):
@@ -116,25 +122,28 @@ def render(
                 "tape: a recorded image takes spp; render with the budget, then call "
                 "render_backward(..., target_error=...) with the loss's adjoint"
             )
-        what = quantity.image(scene, integrator=integrator, sensor=sensor)
+        what = quantities.together(views, lambda n: quantity.image(scene, integrator=integrator, sensor=n))
         wanted = budget.Budget(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
-    integrator = integrator_of(scene, integrator)
-    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
+    integrator, seed = integrator_of(scene, integrator), checked_seed(seed)
     if tape is not None and (params is None or not params.requested):
         raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
-    if scene.description.parts_of(sensor):
-        for number in scene.description.parts_of(sensor) if tape is not None else ():
+    if views.several:
+        spp = count_of_views(scene, views, spp)
+        gradient_spp = samples("spp_grad", spp_grad) if spp_grad is not None else spp
+        for number in views.sensors if tape is not None else ():
             decide(scene, params, integrator=integrator, sensor=number)
 
         def alone(number: int, told: Progress | None) -> Image:
             return render(scene, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told)
 
-        image = beside(scene, sensor, alone, progress, requires_grad=tape is not None)
+        image = assembled(scene, views, alone, progress, requires_grad=tape is not None)
         if tape is not None and params is not None:
             _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
         return image
+    sensor = views.sensors[0]
+    spp = sample_count(scene, sensor, spp)
+    gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
     plan = decide(scene, integrator=integrator, sensor=sensor)
     if tape is not None:
         # Says what cannot be differentiated, before the work.
@@ -159,9 +168,10 @@ def _budgeted(what: Quantity, wanted: Budget, seed: int, progress, reached) -> I
     values, bought = spend(what, wanted, seed=seed, progress=progress)
     if reached is not None:
         reached(bought)
-    camera = what.scene.camera(what.sensor)
-    image = Image((camera.crop_height, camera.crop_width), what.scene.device, signed=what.role == "forward")
-    image.assign(values.reshape(camera.crop_height, camera.crop_width, 3).astype(np.float32))
+    pixels = what.pixels(values)
+    stack = what.views is not None and what.views.stacked
+    image = Image(pixels.shape[:-1], what.scene.device, signed=what.role == "forward", stack=stack)
+    image.assign(pixels.astype(np.float32))
     return image
 
 
@@ -191,7 +201,7 @@ def render_backward(
     params: Parameters,
     adjoint,
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -205,9 +215,9 @@ def render_backward(
     Args:
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
-        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3; of a
-            ``transient_hdr_film`` (H, W, bins, 3) or (H, W, bins) of vec3.
-        sensor: which camera, by its number or its id.
+        adjoint: derivative of a loss with respect to the image, NumPy (H, W, 3) or Warp (H, W) of vec3; (B, H, W, 3) or
+            (B, H, W) of a list of sensors, and of a ``transient_hdr_film`` (H, W, bins, 3) or (H, W, bins) of vec3.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal calls in equal order give equal bits, and so do equal seeds and values unless a repeated gradient
@@ -225,12 +235,13 @@ def render_backward(
         ValueError: nothing is requested, options that exclude each other, a wrong adjoint, an option out of range,
             or a moving discontinuity that the method of the boundary term does not cover.
     """
-    from warp_psdr.accuracy import budget, quantity
+    from warp_psdr.accuracy import budget
+    from warp_psdr.accuracy import views as quantities
 
     check_loaded(scene)
-    sensor = scene.description.sensor_number(sensor)
+    views = scene.description.views(sensor)
     if budget.check(spp, target_error, time_budget, report):
-        what = quantity.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
+        what = quantities.gradient(scene, views, params, adjoint, integrator=integrator)
         wanted = budget.Budget(target_error, time_budget, report)
         values, bought = budget.spend(what, wanted, seed=seed, progress=progress)
         for name, block in what.blocks.items():
@@ -238,14 +249,17 @@ def render_backward(
             _add(scene, params, name, total, 0)
         return bought
     integrator = integrator_of(scene, integrator)
-    names = requested(scene, params)
-    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    adjoint = adjoint_array(adjoint, scene, sensor)
-    if scene.description.parts_of(sensor):
-        for number, left, right, told in columns(scene, sensor, progress):
-            own = adjoint.numpy()[:, left:right]
+    names, seed = requested(scene, params), checked_seed(seed)
+    if views.several:
+        spp = count_of_views(scene, views, spp)
+        adjoints = adjoint_array(adjoint, shape_of_views(scene, views), scene.device).numpy()
+        for number, place, told in each(scene, views, progress):
+            own = of_one(scene, views, adjoints, place)
             render_backward(scene, params, own, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told)
         return None
+    sensor = views.sensors[0]
+    spp = sample_count(scene, sensor, spp)
+    adjoint = flat(adjoint_array(adjoint, shape_of(scene, sensor), scene.device))
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     sums = GradientSums(scene, names)
     compiler.begin(light.gradient_kernels(plan, "reverse"), scene.device)
@@ -276,7 +290,7 @@ def render_forward(
     params: Parameters,
     tangents: dict,
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
     seed: int = 0,
@@ -294,7 +308,7 @@ def render_forward(
         tangents: name -> direction, NumPy or Warp, in the parameter's shape; a number fills it. What a pose and the
             vertices that it moves bring add up, each with the other at rest, and so does what positions bring, whose
             computed normals follow, and what these normals bring themselves.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
         seed: equal seeds give equal bits, with a budget only where a report is given and no time, and the random
@@ -306,33 +320,39 @@ def render_forward(
         reached: called with what a budget bought (``accuracy.Reached``), for example ``print``.
 
     Returns:
-        ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents; (H, W, bins) of a
-            ``transient_hdr_film``.
+        ``wp.array2d`` of vec3, shape (H, W): d image / d t for parameters + t * tangents; (B, H, W) of a list of
+            sensors, (H, W, bins) of a ``transient_hdr_film``.
 
     Raises:
         ValueError: no or wrong tangents, an option out of range or two that exclude each other, or a moving
             discontinuity that the method of the boundary term does not cover.
     """
     from warp_psdr.accuracy import budget, quantity
+    from warp_psdr.accuracy import views as quantities
 
     check_loaded(scene)
-    sensor = scene.description.sensor_number(sensor)
+    views = scene.description.views(sensor)
     if budget.check(spp, target_error, time_budget, report):
-        what = quantity.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
+        what = quantities.together(
+            views, lambda n: quantity.derivative(scene, params, tangents, integrator=integrator, sensor=n)
+        )
         wanted = budget.Budget(target_error, time_budget, report)
         return _budgeted(what, wanted, seed, progress, reached)
     integrator = integrator_of(scene, integrator)
     if not tangents:
         raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
-    spp, seed = sample_count(scene, sensor, spp), checked_seed(seed)
-    if scene.description.parts_of(sensor):
+    seed = checked_seed(seed)
+    if views.several:
+        spp = count_of_views(scene, views, spp)
 
         def draw(number: int, told: Progress | None) -> Image:
             return render_forward(
                 scene, params, tangents, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told
             )
 
-        return beside(scene, sensor, draw, progress, signed=True)
+        return assembled(scene, views, draw, progress, signed=True)
+    sensor = views.sensors[0]
+    spp = sample_count(scene, sensor, spp)
     names = list(tangents)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=names)

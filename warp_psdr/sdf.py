@@ -15,6 +15,7 @@ import warp as wp
 from warp_psdr.device import launch
 from warp_psdr.kernels.primitive.redistance import GIVEN, OPEN, make_mesh_distance_kernel, make_sweep_kernel
 from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.startup import device_named
 
 __all__ = ["coefficients", "from_mesh", "redistance", "smooth_union", "to_mesh"]
 
@@ -58,7 +59,7 @@ def redistance(
     for offset in itertools.product(around, repeat=3):
         kept[tuple(slice(o, o + n) for o, n in zip(offset, passed.shape, strict=True))] |= passed
     kept = kept[1:-1, 1:-1, 1:-1] if cubic else kept
-    device = wp.get_device(device)
+    device = device_named(device)
     distance = wp.array(np.where(known, seeds, 3.0e38).astype(np.float32), dtype=wp.float32, device=device)
     state = wp.array(np.where(known, GIVEN, OPEN).astype(np.int32), dtype=wp.int32, device=device)
     changed = wp.zeros(1, dtype=wp.int32, device=device)
@@ -120,7 +121,7 @@ def from_mesh(
             low, high = middle - half, middle + half
     if counts.shape != (3,) or (counts < 2).any():
         raise ValueError(f"nodes={nodes}: give 2 or more along each axis")
-    device = wp.get_device(device)
+    device = device_named(device)
     mesh = wp.Mesh(
         points=wp.array(points.astype(np.float32), dtype=wp.vec3, device=device),
         indices=wp.array(triangles.reshape(-1).astype(np.int32), dtype=wp.int32, device=device),
@@ -165,7 +166,7 @@ def to_mesh(
         raise ValueError(f"to_world of the shape {pose.shape}: give a matrix (4, 4)")
     if (grid < 0.0).all() or (grid >= 0.0).all():
         return np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)
-    field: Any = wp.array(np.ascontiguousarray(grid.T, np.float32), dtype=wp.float32, device=wp.get_device(device))
+    field: Any = wp.array(np.ascontiguousarray(grid.T, np.float32), dtype=wp.float32, device=device_named(device))
     points, indices = IsoSurfaceMarchingCubes.extract(field, 0.0, lower=(0.0, 0.0, 0.0), upper=(1.0, 1.0, 1.0))
     vertices = points.numpy().astype(np.float64) @ pose[:3, :3].T + pose[:3, 3]
     faces = indices.numpy().reshape(-1, 3)

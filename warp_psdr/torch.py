@@ -15,7 +15,7 @@ Forward mode (``torch.autograd.forward_ad``) gives derivative images. There are 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.plan import decide
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward, render_forward
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.parameters import Parameters, check_independent, parameter_of, traverse
 
 try:
@@ -41,11 +42,27 @@ if TYPE_CHECKING:
 __all__ = ["render"]
 
 
+def _left_alone(function: Callable[..., torch.Tensor]) -> Callable[..., torch.Tensor]:
+    """Keep ``torch.compile`` from tracing a function, and Warp with it: graphs break where it is called.
+
+    ``torch.compiler.disable`` does so, but imports the compiler, which takes as long as PyTorch itself. So the marks
+    that the compiler reads are set here, where this PyTorch has them.
+    """
+    try:
+        from torch._C._dynamo.eval_frame import _FrameAction, _FrameExecStrategy, set_code_exec_strategy
+    except ImportError:
+        return torch.compiler.disable(function)
+    set_code_exec_strategy(function.__code__, _FrameExecStrategy(_FrameAction.SKIP, _FrameAction.SKIP))
+    function._torchdynamo_disable = True  # type: ignore[attr-defined]
+    return function
+
+
+@_left_alone
 def render(
     scene: Scene,
     parameters: Mapping[str, torch.Tensor],
     *,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
     spp_grad: int | None = None,
@@ -58,14 +75,15 @@ def render(
         parameters: Tensors by parameter name, in the parameters' NumPy shapes, for instance (N, 3) for positions, up to
             axes of length one. Those that require a gradient get one. They are not kept within their bounds, as
             ``psdr.optim`` keeps them. Far from the origin float64 keeps the digits of places.
-        sensor: Which camera, by its number or its id.
+        sensor: Which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: As of ``psdr.render``; default: what the scene file names, else ``PathIntegrator()``.
         spp: Samples a pixel; default: the sensor's sample count.
         spp_grad: Samples a pixel of the backward pass; default: ``spp``.
         seed: Equal seeds give equal bits; the backward pass is decorrelated from the image.
 
     Returns:
-        Radiance, shape (H, W, 3), float32, on the device of the first tensor (the CPU without any).
+        Radiance, shape (H, W, 3), or (B, H, W, 3) of a list of sensors, float32, on the device of the first tensor
+        (the CPU without any).
 
     Raises:
         KeyError: There is no such parameter.
@@ -92,7 +110,7 @@ class _Call:
     scene: Scene
     names: tuple[str, ...]
     wanted: tuple[bool, ...]
-    sensor: int | str
+    sensor: Sensor
     integrator: Integrator | None
     spp: int | None
     spp_grad: int | None
@@ -132,7 +150,8 @@ class _Render(torch.autograd.Function):
         call.assign(tensors)
         if any(call.wanted):
             # What cannot be differentiated is refused here, and not only by backward().
-            decide(call.scene, call.parameters(), **call.options)
+            for number in call.scene.description.views(call.sensor).sensors:
+                decide(call.scene, call.parameters(), integrator=call.integrator, sensor=number)
             ctx.state = call.scene.state()
         image = render_image(call.scene, spp=call.spp, spp_grad=call.spp_grad, seed=call.seed, **call.options)
         ctx.call = call

@@ -99,3 +99,13 @@ def pixel_order(width: int, height: int) -> np.ndarray:
         code |= ((x >> np.uint64(bit)) & one) << np.uint64(2 * bit)
         code |= ((y >> np.uint64(bit)) & one) << np.uint64(2 * bit + 1)
     return np.argsort(code.reshape(-1), kind="stable").astype(np.int32)
+
+
+def _after_fork_in_child() -> None:
+    """Forget the pool: a forked process has none of its threads, and would wait for them for ever."""
+    global _pool
+    _pool = None
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
+    os.register_at_fork(after_in_child=_after_fork_in_child)

@@ -3,7 +3,8 @@
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
 of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models;
 ``{api} GROUP`` names of the API; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output``
-of the benchmarks writes; ``{combinations}`` what may be attached together, and what materials are not.
+of the benchmarks writes, or slopes with the commits that recorded them; ``{combinations}`` what may be attached
+together, and what materials are not.
 """
 
 from __future__ import annotations
@@ -244,23 +245,36 @@ class Measured(Generated):
 
 
 def measured(file: Path) -> str:
-    """Return the tables of a file of measured lines as Markdown."""
+    """Return the tables of a file of measured lines as Markdown, without columns that are empty."""
     tables: dict[tuple, list[dict]] = {}
     for line in file.read_text(encoding="utf-8").splitlines():
         row = json.loads(line)
-        machine = json.dumps(row["machine"], sort_keys=True)
+        machine = json.dumps(row.get("machine"), sort_keys=True)
         tables.setdefault((row["benchmark"], row["table"], machine), []).append(row)
     out = []
     for (benchmark, title, text), rows in tables.items():
         machine = json.loads(text)
-        columns = [key for key in rows[0] if key not in ABOUT]
-        out += [f"**{title}** (`{benchmark}`)", "", f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
-        out += [f"| {' | '.join(_number(row[key]) for key in columns)} |" for row in rows]
-        versions = [f"{key} {machine[key]}" for key in ("warp", "mitsuba", "commit") if key in machine]
-        about = f"*{machine['cores']} cores of {machine['cpu']}; {', '.join(versions)}.*"
+        columns = [key for key in rows[0] if key not in ABOUT and any(row[key] not in (None, "") for row in rows)]
+        source = f" (`{benchmark}`)" if machine else ""
+        out += [f"**{title}**{source}", "", f"| {' | '.join(columns)} |", "|" + "---|" * len(columns)]
+        out += [f"| {' | '.join(_cell(row, key) for key in columns)} |" for row in rows]
+        about = []
+        if machine:
+            versions = [f"{key} {machine[key]}" for key in ("warp", "mitsuba", "commit") if key in machine]
+            about = [f"*{machine['cores']} cores of {machine['cpu']}; {', '.join(versions)}.*"]
         notes = dict.fromkeys(row["note"] for row in rows if "note" in row)
-        out += ["", " ".join([about, *notes]), ""]
+        out += ["", " ".join([*about, *notes]), ""]
     return "\n".join(out)
+
+
+def _cell(row: dict, key: str) -> str:
+    """Return a cell: a slope and its error with equally many decimals, pairs as ranges."""
+    value = row[key]
+    if key not in ("slope", "error") or not {"slope", "error"} <= set(row) or value is None:
+        return _number(value)
+    alike = value if isinstance(value, list) else [x for x in (row["slope"], row["error"]) if isinstance(x, float)]
+    decimals = max(2, *(len(repr(x).partition(".")[2]) for x in alike))
+    return "–".join(f"{x:.{decimals}f}" for x in (value if isinstance(value, list) else [value]))
 
 
 def _number(value) -> str:

@@ -1,7 +1,7 @@
-"""Silhouettes that coincide: one jump of light, on which edges of several bodies lie, and which counts once.
+"""Coincident silhouettes: edges of several shapes on one jump of light, which counts once.
 
-Shapes that abut share the jump along their common line. Of edges that lie one behind the other as a point, spot or
-directional light or an orthographic camera sees them, the one nearest to x_1, or to the camera, counts.
+Shapes that abut share the jump along their common line. Point, spot and directional lights and orthographic cameras may
+see edges one behind the other; the edge nearest to x_1, or to the camera, then counts.
 
 Derivation: ``docs/theory/boundary.md#silhouettes-that-coincide``.
 """

@@ -1,7 +1,8 @@
-"""Notches: how close to an edge its two sides can be looked at where surfaces meet at an acute angle.
+"""Concave edges: how close to an edge rays may look at its two sides where surfaces meet at an acute angle.
 
-A ray that leaves a surface starts one step off it, behind another surface that rises from the first at an acute angle.
-So at concave edges rays pass ``INTO`` steps from the edge, where they meet the first surface in front of the other.
+A ray that leaves a surface starts one step off it. Next to a concave edge, this start may lie behind another surface
+that rises from the first at an acute angle. There, rays pass ``INTO`` steps from the edge, where they meet the first
+surface in front of the other.
 
 Derivation: ``docs/theory/boundary.md#concave-edges``.
 """

@@ -1,7 +1,7 @@
-"""Paths of two vertices behind the camera and longer ones apart: the direct and the indirect boundary.
+"""The direct and the indirect boundary: paths of two vertices behind the camera, apart from longer ones.
 
-The direct boundary is W_1 E_2, what x_2 sends by itself to a vertex that the camera sees; the indirect one is the rest.
-They are estimated by independent samples, and the sum of the two means is the whole term.
+The direct boundary is W_1 E_2, the light that x_2 emits towards a vertex that the camera sees. The indirect boundary is
+the rest. Independent samples estimate the two parts, whose means add up to the whole term.
 
 Derivation: ``docs/theory/boundary.md#direct-and-indirect-boundary``.
 """

@@ -1,7 +1,7 @@
-"""A point of an edge as the camera sees it: its image, whether it is hidden, and where its adjoint goes.
+"""A point of an edge as the camera sees it: its image on the film, its visibility, and the sink of its adjoint.
 
-What the estimators of jumps across edges on the film share (``primary.py``, ``flat_creases.py``). They differ in how
-the jump is found.
+The estimators of jumps across edges on the film (``primary.py``, ``flat_creases.py``) share this file. They differ in
+how they estimate the jump.
 """
 
 import functools

@@ -1,7 +1,7 @@
-"""Whether a place is seen along a segment that is followed forwards: rays that start in a tube leave it unseen.
+"""Visibility of a point along a segment that is followed forwards: rays that start inside a tube leave it unseen.
 
-What lies in a tube, a part of a mesh that runs through it or of its neighbour at a joint, sees all that is outside, and
-is seen by nothing.
+A part of a mesh may lie inside a tube that it runs through, and a part of a tube inside its neighbour at a joint. Such
+a part sees everything outside, and nothing sees it.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 """

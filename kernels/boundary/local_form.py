@@ -1,8 +1,9 @@
-"""The local form of the boundary term, shared by all of its estimators.
+"""The local form of the boundary term, which all of its estimators share.
 
-A boundary segment x_1 -> x_b -> x_2 touches an edge at x_b, at t_1 = |x_b - x_1| of d = |x_2 - x_1|; tau = t_1 / d.
-With W_1 and L_2 the importance and the radiance past the occluder, n the normal of the plane through edge and segment
-and phi the angle between them, dI = W_1 . L_2 . n . ( x_b' - (1 - tau) x_1' - tau x_2' ) sin(phi) dl dsigma.
+A boundary segment x_1 -> x_b -> x_2 touches an edge at x_b, at the distance t_1 = |x_b - x_1| of d = |x_2 - x_1|; tau =
+t_1 / d. Let W_1 and L_2 be the importance and the radiance past the occluder, n the normal of the plane through edge
+and segment, and phi the angle between them. Then dI = W_1 . L_2 . n . ( x_b' - (1 - tau) x_1' - tau x_2' ) sin(phi) dl
+dsigma.
 
 Derivation: ``docs/theory/boundary.md#local-form``.
 """

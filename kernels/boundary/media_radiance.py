@@ -1,6 +1,6 @@
-"""The radiance that arrives along a ray through media: on either side of an edge that the camera sees, and at x_1.
+"""The radiance along a ray through media, beside an edge that the camera sees and at x_1 of a boundary segment.
 
-It is that of the path tracer of ``path_media.py``; ``detector.py`` has that without media.
+The path tracer of ``path_media.py`` estimates it. ``detector.py`` is the counterpart without media.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

@@ -1,6 +1,6 @@
-"""What role "samples" keeps of a sample of the boundary term: its point, and how hard it pulls there.
+"""The record that the role "samples" keeps of a boundary sample: its point, and the derivative by that point.
 
-The point lies on an edge, or on the outline of a shape without triangles, for which the tangent stands in for the edge.
+The point lies on an edge or on the outline of a shape without triangles, where the tangent takes the edge's place.
 """
 
 import warp as wp

@@ -1,8 +1,8 @@
-"""Light of a boundary path before a transient film: it is splatted into the bins of its own path length.
+"""Light of a boundary path on a transient film, splatted into the bins of its own path length.
 
-The jump across a boundary is a difference of light that arrives at many times. So what a path finds is not added up:
-each emission and each next-event estimate goes to the bins of its length (forward mode), or is weighted with the
-adjoints of these bins (reverse mode). The length is detached, for the boundary term moves what jumps, and no length.
+The jump across a boundary is a difference of light that arrives at many times, so the light of a path is not added up.
+Each emission and each next-event estimate goes to the bins of its length (forward mode), or is weighted with the
+adjoints of these bins (reverse mode). The length is detached, because the boundary term moves jumps, and no length.
 
 Derivation: ``docs/theory/transient.md#boundary-term``.
 """

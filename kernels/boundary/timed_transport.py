@@ -1,7 +1,7 @@
-"""What a boundary segment brings to a transient film: ``transport.py`` with light by its path length.
+"""Transport of a boundary segment to a transient film: ``transport.py`` with light binned by path length.
 
-Walk, connections and adjoints are those of ``transport.py``. Behind every vertex of the walk that the camera sees a
-path of its own goes on past the occluder: what it finds has gone the walk's length, the segment's and its own.
+Walk, connections and adjoints are those of ``transport.py``. Behind every vertex of the walk that the camera sees, a
+separate path continues past the occluder. The length of its light is that of walk, segment and path together.
 
 Derivation: ``docs/theory/transient.md#boundary-term``.
 """

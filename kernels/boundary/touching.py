@@ -1,8 +1,9 @@
 """Edges that lie on triangles of other shapes: where surfaces touch along more than a point.
 
-Two triangles that touch along a segment or an area, without running through each other, do so along an edge of one of
-them: in one plane they overlap in a polygon, bounded by pieces of both's edges, and otherwise on the line that their
-planes share, which one of them reaches with an edge only. So it suffices to clip every edge to every triangle near it.
+Two triangles that touch along a segment or an area, without running through each other, touch along an edge of one of
+them. If they lie in one plane, they overlap in a polygon bounded by pieces of both's edges. Otherwise they touch on the
+line that their planes share, which one of them reaches with an edge only. It therefore suffices to clip every edge to
+every triangle near it.
 """
 
 import warp as wp

@@ -1,15 +1,12 @@
-"""Carries what a boundary segment x_1 -> x_2 brings to the sensor: the walk from x_1, its connections, the adjoints.
+"""Transport of a boundary segment x_1 -> x_2 to the sensor: the walk from x_1, its connections, and the adjoints.
 
-Shared by the estimators whose discontinuity lies between two path vertices (``secondary.py``,
-``intersection_curve.py``, ``indirect_terminator.py``). They differ in how a segment is found and in what moves its
-discontinuity; the importance W_1, the split into vertices x_1 that slide along a pixel's ray (k = 1) and material ones
-(k > 1), and the sums are the same.
-
-A segment contributes sum over k of W_k L_k, W_k by the connection of the walk's k-th vertex, L_k the radiance past the
-occluder behind k vertices, of which max_depth bounds the number. Walk and source are independent given the segment, so
-E[W_k L_k] = E[W_k] E[L_k] also if all L_k come from one path, cut at different lengths (``detector.Incident``): one
-path instead of max_depth - 1 of them. Where x_2 lies on a light, L_k = E_2 + R_k; E_2 is known without a ray, and R_k,
-what the light's surface scatters, is replaced by R_k / p with probability p and by 0 otherwise.
+The estimators of discontinuities between two path vertices share this file (``secondary.py``,
+``intersection_curve.py``, ``indirect_terminator.py``). They differ in how they find a segment and in what moves the
+discontinuity. A segment contributes the sum over k of W_k L_k: W_k is the connection of the walk's k-th vertex, and L_k
+the radiance past the occluder behind k vertices, whose number max_depth bounds. x_1 slides along a pixel's ray for k =
+1 and is a material point for k > 1. Walk and source are independent given the segment, so one path, cut at different
+lengths, gives all L_k (``detector.Incident``). If x_2 lies on a light, L_k = E_2 + R_k: E_2 is known without a ray, and
+the scattered part R_k is estimated by R_k / p with probability p.
 """
 
 import functools

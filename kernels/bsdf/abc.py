@@ -1,11 +1,12 @@
-"""Glossy reflection by the ABC distribution of microfacet normals, whose tails are long.
+"""Glossy reflection by the ABC distribution of microfacet normals, which has long tails.
 
 With h the half vector and x = 1 - h_z [Löw, Kronander, Ynnerman and Unger 2012, eq. 20],
 
     f_s = F(<wi, h>) S(x) G / (cos(wi) cos(wo)),   S(x) = A / (1 + B x)^C,
 
-F the Fresnel reflectance of a conductor and G the masking of V-shaped grooves. ``A`` scales the lobe and is not bound
-by energy. Each derivative of S has one sign: the model serves to compare estimators of derivatives [BXB*24].
+where F is the Fresnel reflectance of a conductor and G the masking of V-shaped grooves. ``A`` scales the lobe and is
+not bounded by energy. Each derivative of S has one sign, so the model serves to compare estimators of derivatives
+[BXB*24].
 
 Sampling and digits: ``docs/theory/materials.md#the-abc-distribution``; by A, B and C:
 ``docs/theory/interior.md#lobes-of-one-sign``.

@@ -1,4 +1,4 @@
-"""Ashikhmin and Shirley's anisotropic Phong model: a glossy lobe over a diffuse base that takes what it leaves.
+"""Ashikhmin and Shirley's anisotropic Phong model: a glossy lobe over a diffuse base that gets the remaining energy.
 
 With h the half vector, c = <wi, h> and S(x) = (1 - x)^5 [Ashikhmin and Shirley 2000, eqs. 4 and 5],
 

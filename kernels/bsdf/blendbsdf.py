@@ -1,10 +1,9 @@
 """A mixture of two models by a texture (Mitsuba's ``blendbsdf``): f = (1 - w) f_1 + w f_2, w clamped to [0, 1].
 
-A sample comes from the second model with probability p, from the first with 1 - p. Smooth lobes are drawn with the
-density (1 - p) p_1 + p p_2; a delta lobe that both models have is one lobe, whose weights and probabilities add. A
-probability never joins a density, as it does in Mitsuba, where half mirror, half paint reflects 0.40 in the mirror.
-
-p is w, but at least ``MIN_SHARE`` from 0 and 1: a lobe of weight 0 has a derivative by its weight, f_2 - f_1.
+A sample comes from the second model with probability p, and from the first with 1 - p. Smooth lobes have the density (1
+- p) p_1 + p p_2. A delta lobe that both models have is one lobe, whose weights and probabilities add. A probability
+never joins a density. (It does in Mitsuba, where half mirror, half paint reflects 0.40 in the mirror.) p is w, but at
+least ``MIN_SHARE`` from 0 and 1, because a lobe of weight 0 has the derivative f_2 - f_1 by its weight.
 """
 
 import warp as wp

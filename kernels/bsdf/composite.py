@@ -1,9 +1,9 @@
-"""Models made of models: what a composite declares, and its children's functions over its own record.
+"""Models made of models: the declaration of a composite, and the functions of its children on its own record.
 
 A composite (``blendbsdf``) is one file of this folder, which ends with a ``Composite``, and one row of ``COMPOSITES``
-in ``dispatch.py``. For given children it is a ``Model`` like any other: its values are its own and its children's, the
-latter under a prefix ("first_reflectance"); nesting nests the prefixes. So nothing outside this folder tells a
-composite from a plain model.
+in ``dispatch.py``. For given children it is a ``Model`` like any other. Its values are its own and its children's, the
+latter under a prefix ("first_reflectance"); nesting nests the prefixes. Code outside this folder therefore does not
+distinguish a composite from a plain model.
 """
 
 from collections.abc import Callable

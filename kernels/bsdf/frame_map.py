@@ -1,16 +1,16 @@
-"""What normal and bump maps share: a nested model in a frame that a texture turns.
+"""A nested model in a frame that a texture turns: the common part of normal and bump maps.
 
 With n the perturbed normal in the local frame whose first axis follows dp/du, the nested model sees directions in
 
     s = normalize(x - n n.x),    t = n x s,    n.
 
-A direction below one of the two surfaces and above the other has no value. ``use_shadowing_function`` takes light away
-where the perturbed surface would hide it [ELS19, eq. 1 and 2]:
+A direction below one of the two surfaces and above the other has no value. ``use_shadowing_function`` removes light
+where the perturbed surface would hide it [ELS19, eq. 1 and 2], which makes the model not reciprocal:
 
     G(wo) = 2 / (1 + sqrt(1 + a^2 tan^2 theta_o)),    a^2 = min(tan^2 theta_n / 8, 1),
 
-theta_o from the unperturbed normal; it makes the whole not reciprocal. ``flip_invalid_normals`` turns a normal that
-looks away from the viewer about the unperturbed one, by half a turn.
+theta_o from the unperturbed normal. ``flip_invalid_normals`` turns a normal that looks away from the viewer about the
+unperturbed one, by half a turn.
 
 [ELS19] Estevez, Lecocq and Stein 2019, A Microfacet-Based Shadowing Function to Solve the Bump Terminator Problem.
 """

@@ -1,8 +1,8 @@
 """A model that lets part of the light pass (Mitsuba's ``mask``): f = o f_nested, and a null lobe of weight 1 - o.
 
-o, the opacity, is clamped to [0, 1]. A sample comes from the nested model with probability o, else it goes straight on.
-Where derivatives by an opacity are asked for (the variant ``EXPLORED``), that probability keeps ``MIN_SHARE`` from 0
-and 1: a lobe of weight 0 has a derivative by o, but where it is never drawn nothing of it is seen.
+The opacity o is clamped to [0, 1]. A sample comes from the nested model with probability o; else it goes straight on.
+If derivatives by an opacity are requested (the variant ``EXPLORED``), that probability keeps ``MIN_SHARE`` from 0 and
+1: a lobe of weight 0 has a derivative by o, but only samples of the lobe can estimate it.
 """
 
 import warp as wp

@@ -1,8 +1,8 @@
-"""How a direction drawn from a lobe moves with the lobe's roughness while the random numbers stay: rough metal.
+"""How a direction drawn from rough metal's lobe moves with the roughness while the random numbers stay.
 
-[ZSGJ21] call a sample attached that the sampling routine carries along. For a rough mirror that is wi reflected at a
-visible normal, a smooth function of both roughnesses. GGX's routine is differentiated as it stands. Beckmann's inverts
-a cumulative distribution by iteration; its derivative is that of one more Newton step, as by the implicit function.
+[ZSGJ21] call such a sample attached. For a rough mirror it is wi reflected at a visible normal, a smooth function of
+both roughnesses. GGX's sampling routine is differentiated as it stands. Beckmann's routine inverts a cumulative
+distribution by iteration; its derivative is that of one more Newton step, by the implicit function theorem.
 
 Derivation: ``docs/theory/interior.md#attached-samples``.
 """

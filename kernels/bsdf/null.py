@@ -1,6 +1,7 @@
-"""A surface that is not there (Mitsuba's ``null``): one null lobe of weight one.
+"""A surface that does not scatter (Mitsuba's ``null``): one null lobe of weight one.
 
-Shells of media and helper shapes have it. Light keeps its direction, and a path counts the crossing as a vertex.
+Shells of media and helper shapes have this model. Light keeps its direction, and a path counts the crossing as a
+vertex.
 """
 
 import functools

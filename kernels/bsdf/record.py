@@ -1,6 +1,7 @@
 """The record of a scene's material values: one member for each value that any of its models declares, by its name.
 
-Texture number k of a material, ``Scene.slots[bsdf.slots + k]``, gives member k; -1 where its model has no such value.
+Member k comes from the texture number k of a material, ``Scene.slots[bsdf.slots + k]``, and is -1 where its model has
+no such value.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Sampling of models whose smooth lobes lie on the side of the incoming direction: what is left once one is drawn."""
+"""Sampling of models whose smooth lobes lie on the side of the incoming direction, for any given draw."""
 
 import warp as wp
 

@@ -7,9 +7,8 @@ the half vector of the reflection or of the refraction, turned to the side of ``
     f_s cos(wo) = specular_transmittance (1 - F) D(h) G_1(wi) G_1(wo) <wi, h> |<wo, h>|
                   / (cos(wi) |wi + eta wo|^2)                                                         (transmitted)
 
-[WMLT07, eq. 20 and 21]; in the second the squared eta of the half vector's Jacobian meets that by which radiance is
-scaled where it crosses the interface. Half vectors of which a direction lies on the wrong side have value and density
-0.
+[WMLT07, eq. 20 and 21]. In the second, the squared eta of the half vector's Jacobian cancels the one that scales
+radiance at the interface. Value and density are 0 if a direction lies on the wrong side of the half vector.
 
 Derivation: ``docs/theory/materials.md#rough-glass``.
 """

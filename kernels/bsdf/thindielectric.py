@@ -1,12 +1,14 @@
 """A thin plate of a dielectric (Mitsuba's ``thindielectric``): a mirror reflection and a null lobe.
 
-Light that enters the plate is reflected to and fro between its two parallel interfaces, and leaves it on both sides
-without having been turned. With R the Fresnel reflectance of one interface, and nothing absorbed, the plate reflects
+Light that enters the plate is reflected to and fro between its two parallel interfaces, and leaves on both sides
+without a change of direction. With R the Fresnel reflectance of one interface, and nothing absorbed, the plate reflects
 
     R' = R + (1 - R)^2 R (1 + R^2 + R^4 + ...) = 2 R / (1 + R)
 
-and lets 1 - R' = (1 - R) / (1 + R) pass. Both sides are alike, and radiance is not scaled: it ends in the medium it
-came from. Derivation: ``docs/theory/materials.md#thin-plates``.
+and lets 1 - R' = (1 - R) / (1 + R) pass. Both sides are alike. Radiance is not scaled, because it ends in the medium it
+came from.
+
+Derivation: ``docs/theory/materials.md#thin-plates``.
 """
 
 import functools

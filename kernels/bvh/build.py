@@ -1,7 +1,8 @@
-"""Builds the wide BVH on the CPU: a binary tree, and its collapse.
+"""Builds the wide BVH on the CPU: a binary tree, and its collapse into nodes of several children.
 
-Top-down with the surface-area heuristic [Wal07], costs counted in packets; then dynamic programming [YKL17] decides
-which binary nodes become wide ones. Triangles as large as the scene are a packet of their own.
+The binary tree is built top-down with the surface-area heuristic [Wal07], with costs counted in packets. Dynamic
+programming [YKL17] then decides which binary nodes become wide ones. Triangles as large as the scene have a packet of
+their own.
 
 Derivation: ``docs/theory/rays.md#building-the-wide-bvh``.
 """

@@ -1,7 +1,7 @@
-"""Ray queries for W rays that lie close together: camera rays of a pixel, shadow rays from neighbours to one light.
+"""Ray queries for W rays that lie close together: camera rays of a pixel, or shadow rays from neighbours to one light.
 
-What is wide here is the bundle, one ray a lane: it walks the tree of ``wide.py`` once for all of its rays, whose hits
-are those that each has alone. Rays that differ in a sign or in their largest component are traced one by one.
+SIMD runs over the rays here, one ray a lane: the bundle walks the tree of ``wide.py`` once for all of its rays. Each
+ray has the hit that it has alone. Rays that differ in a sign or in their largest component are traced one by one.
 
 Derivation: ``docs/theory/rays.md#bundles-of-coherent-rays``.
 """

@@ -1,15 +1,13 @@
-"""Ray queries for W rays of any directions at a time, of scenes whose packets all lie right below the root.
+"""Ray queries for W rays of any directions at a time, in scenes whose packets all lie right below the root.
 
-One ray meets the triangles of a packet at a time, by the operations of ``wide.py``; all the rest is done for all rays
+One ray at a time meets the triangles of a packet, by the operations of ``wide.py``. Everything else runs over all rays
 at once, one a lane: choosing the axes, shearing, the boxes of the packets, and the closest hits' barycentrics. Packets
-are taken one after the other, and each is met by the rays that enter its box. So the processor knows which rays come
-next, where one ray's walk through a tree is anybody's guess; and nothing waits for a ray's result, so that the next
-ray's triangles are tested while the last one's are still reduced to one number.
+are taken one after the other, each by the rays that enter its box. The processor therefore knows which rays come next,
+and tests the next ray's triangles while the last ray's hit is still being reduced. Hits are those of ``wide.py`` to the
+bit, with one exception: if triangles of several packets are hit at one distance, the first packet's counts here, and
+the first that the walk meets counts in a tree.
 
-Boxes are those of ``wide.py``, and so are hits, to the bit. Only where triangles of several packets are hit at one
-distance, the first one's counts here, and there, in a tree, the one that is met first.
-
-Rays and hits lie in rows, one for each number, as ``lanes.py`` has it.
+Rays and hits lie in rows, one for each number, as in ``lanes.py``.
 """
 
 import functools

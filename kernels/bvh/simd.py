@@ -1,9 +1,9 @@
-"""The C++ from which the ray queries of the wide BVH are put together; see ``wide.py`` for the method.
+"""C++ source of the ray queries of the wide BVH; see ``wide.py`` for the method.
 
 ``$W`` stands for the number of lanes, ``$STACK`` for the entries of the stack. GNU vector types and a few portable
-Clang builtins carry the SIMD, so the same text compiles for SSE, AVX2, AVX-512 and NEON. Two traps of Warp's CPU
-compiler: ``float(x)`` is a macro (write ``(float)x``), and a reduction of floats is a chain of scalar operations, one
-of integers a tree.
+Clang builtins carry the SIMD, so the same text compiles for SSE, AVX2, AVX-512 and NEON. Warp's CPU compiler has two
+traps: ``float(x)`` is a macro (write ``(float)x``), and a reduction of floats is a chain of scalar operations, while
+one of integers is a tree.
 """
 
 TYPES = """

@@ -1,7 +1,7 @@
 """Closest-hit and any-hit ray queries: Warp's mesh queries, and a wide BVH traversed with SIMD on the CPU.
 
-A node holds the bounds of W children in rows of words, a packet the corners of up to W triangles; slab tests [KK86]
-grow by an error bound, triangle tests are watertight [WBW13], and what loses its digits is evaluated again in double
+A node holds the bounds of W children in rows of words, and a packet the corners of up to W triangles. Slab tests [KK86]
+grow by an error bound, and triangle tests are watertight [WBW13]. Tests that lose their digits are repeated in double
 precision.
 
 Derivation: ``docs/theory/rays.md#the-wide-bvh``.

@@ -1,10 +1,10 @@
 """Area lights: triangles that emit from the side their geometric normal points to.
 
 A light point is drawn by area over the triangles of one shape: a triangle from the cumulative areas ``Scene.face_cdf``,
-then a uniform point on it. In material form it is (triangle, detached barycentrics): its position, its radiance texture
-and the geometric factor towards it are attached, its pdf is not. With the triangle's stored probability P and area A,
-the pdf in solid angle seen from x is P t^2 / (A |cos|). Exact shapes have one record in place of triangles, and points
-of their own (``primitive/shining.py``).
+then a uniform point on it. In material form the point is (triangle, detached barycentrics). Its position, its radiance
+texture and the geometric factor are attached; its pdf is detached. With the triangle's stored probability P and area A,
+the pdf in solid angle seen from x is P t^2 / (A |cos|). Exact shapes have one record in place of triangles, and their
+own points (``primitive/shining.py``).
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Constant environment: the same radiance from every direction. Also what constant and image environments share."""
+"""Constant environment: the same radiance from every direction. Also the common part of constant and image skies."""
 
 import functools
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""All light sources but area lights behind one set of functions, made of nothing but the kinds that a scene holds."""
+"""All light sources except area lights behind one set of functions, compiled for the kinds that a scene holds."""
 
 import functools
 from collections.abc import Callable

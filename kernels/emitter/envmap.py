@@ -1,12 +1,11 @@
-"""Image environment in latitude-longitude form, Mitsuba 3's conventions.
+"""Image environment in latitude-longitude form, with Mitsuba 3's conventions.
 
 In the light's own frame a direction has the azimuth phi = atan2(x, -z) and the angle theta from +y. Column i of W lies
-at phi = 2 pi (i + 1/2) / W, and columns wrap around; row j of H lies at theta = pi j / (H - 1), so that the first and
-the last row are the poles. The radiance is ``scale`` times the bilinear interpolation of the texels.
-
-Directions are drawn from the *cells* between texel centres, of which there are H - 1 rows of W. A cell has a constant
-share (`build_env_distribution`); within it the density follows the bilinear brightness of the current texels. It is
-nowhere zero, for a black texel may have a derivative.
+at phi = 2 pi (i + 1/2) / W, and columns wrap around. Row j of H lies at theta = pi j / (H - 1), so the first and the
+last row are the poles. The radiance is ``scale`` times the bilinear interpolation of the texels. Directions are drawn
+from the (H - 1) x W *cells* between texel centres. A cell has a constant share (`build_env_distribution`); within it
+the density follows the bilinear brightness of the current texels. It is nowhere zero, for a black texel may have a
+derivative.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Point light: equal intensity [W/sr] in all directions from one position. Also what all delta lights share."""
+"""Point light: equal intensity [W/sr] in all directions from one position. Also the common part of all delta lights."""
 
 import functools
 from typing import NamedTuple

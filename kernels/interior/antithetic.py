@@ -1,16 +1,14 @@
 """Antithetic pairs: derivatives by what turns the normals of glossy surfaces [ZDDZ21].
 
-A turn of the normal shifts a glossy lobe aside: its derivative is odd in the half vector h, and almost all of the noise
-of its estimate is the sign. So directions come in pairs, whose half vectors are mirror images about the normal:
+Turning a normal shifts a glossy lobe aside. The derivative is odd in the half vector h, and almost all of the noise of
+its estimate is the sign. Directions therefore come in pairs whose half vectors mirror each other about the normal, both
+traced as paths of the image with the same random numbers:
 
-    (g(h) + g(h')) / (p(h) + p(h')),    g = df_s L J,  p = p_b J,  J = dw / dh,
+    (g(h) + g(h')) / (p(h) + p(h')),    g = df_s L J,  p = p_b J,  J = dw / dh.
 
-both as paths of the image with the same random numbers. One glossy vertex of a path branches (``branch_point.py``),
-and a light point is drawn there, which has no partner. What does not turn the normals of glossy vertices is left to
-record and sweep.
-
-``interior.Resampled`` has the same driver: there both directions, and two light points, are drawn from candidates by
-their derivatives by the normal (``opposite.py``).
+One glossy vertex of a path branches (``branch_point.py``); a light point is drawn there, without a partner. Record and
+sweep differentiates everything else. ``interior.Resampled`` has the same driver: it draws both directions, and two
+light points, from candidates by their derivatives by the normal (``opposite.py``).
 
 Derivation: ``docs/theory/interior.md#antithetic-pairs``, ``docs/theory/interior.md#resampled-tilts``.
 """

@@ -1,11 +1,10 @@
-"""Interior term with attached samples [ZSGJ21]: directions move with the roughness that they are drawn by.
+"""Interior term with attached samples [ZSGJ21]: directions move with the roughness by which they are drawn.
 
-At a vertex of rough metal, whose reflected rays meet nothing but the sky, the sampled part of the derivative is that of
-f(w) L(w) w_b(w) / p(w) along the direction w(alpha; u) that the sampling routine draws from fixed random numbers u: it
-has the slope of the sky in place of the sign changes of df. The part of next-event estimation keeps its directions. The
-weights of multiple importance sampling move along, or by their position alone; held, they would bias the sum.
-
-``moves=False`` leaves the samples where they are and adds what attached weights change: zero on average.
+At a vertex of rough metal whose reflected rays meet nothing but the sky, the sampled part of the derivative is that of
+f(w) L(w) w_b(w) / p(w) along the direction w(alpha; u), which the sampling routine draws from fixed random numbers u.
+It has the slope of the sky in place of the sign changes of df. Next-event estimation keeps its directions. The weights
+of multiple importance sampling move too, or by their position alone; fixed weights would bias the sum. ``moves=False``
+leaves the samples where they are and adds the derivative of attached weights, whose mean is zero.
 
 Derivation: ``docs/theory/interior.md#attached-samples``.
 """

@@ -1,7 +1,7 @@
-"""Derivatives of bidirectional paths: those from the camera by record and sweep [VSJ21], in both modes.
+"""Derivatives of bidirectional paths, by record and sweep [VSJ21], in both modes.
 
-Weights and all that is drawn are detached, so a path from the camera is differentiated as replay does, with the weights
-that ``bidirectional_path.py`` gave to its emission and next-event estimates, and a light path as light tracing does
+Weights and sampling are detached. A camera path is differentiated as in replay, with the weights that
+``bidirectional_path.py`` gives to its emission and next-event estimates, and a light path as in light tracing
 (``light_tracing.py``). In forward mode the sweep runs once for each channel.
 
 Derivation: ``docs/theory/light_tracing.md#derivatives-of-weighted-paths``.

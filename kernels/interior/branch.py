@@ -1,10 +1,11 @@
 """Branches: derivatives by the shape of lobes, from directions that are drawn for the derivative, not for the image.
 
-The driver of methods that draw for derivatives. A path is drawn as for an image; one of its vertices at which a
-requested value is read is chosen, by the adjoint times the throughput there. There the method chooses two directions
-and two light points by the local derivative; the directions go on as two paths of the image that share their random
-numbers, the light points get a shadow ray each. MIS weights are those of the image's sampler: a partition that depends
-on the direction alone is right whatever drew it. All that is not branched is left to record and sweep (``replay.py``).
+This file is the driver of the methods that draw for derivatives. A path is drawn as for an image. One of its vertices
+at which a requested value is read is chosen, by the adjoint times the throughput there. At that vertex the method
+chooses two directions and two light points by the local derivative. The directions continue as two paths of the image
+with the same random numbers; the light points get a shadow ray each. MIS weights are those of the image's sampler: a
+partition that depends on the direction alone is right for any sampler. Record and sweep (``replay.py``) differentiates
+everything else.
 
 Derivation: ``docs/theory/interior.md#branches``.
 """

@@ -1,4 +1,4 @@
-"""Where a path branches: one of its vertices, chosen while it is drawn.
+"""The vertex at which a path branches, chosen while the path is drawn.
 
 Derivation: ``docs/theory/interior.md#branches``.
 """

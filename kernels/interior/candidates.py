@@ -1,4 +1,4 @@
-"""The candidates of branches: what each would be chosen by, computed as SIMD where the scene's models do not branch.
+"""The candidates of branches and their targets, computed with SIMD where the scene's models do not branch.
 
 Targets differ from candidate to candidate in the random numbers alone. On the CPU they are loops over rows of
 ``Scene.rows`` that the compiler can turn into SIMD (``lanes/lanes.py``); the light points are drawn one by one before.

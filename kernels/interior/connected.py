@@ -1,12 +1,12 @@
 """Derivatives of bidirectional paths with inner connections, by record and sweep of both subpaths.
 
-A sample is a path from the camera and a light path, both kept. A connection of x_n and z_j brings A_n (g f_x f_z)
-Phi_j, g detached. With the adjoint delta of the pixel its local factors have the adjoints
+A sample is a camera path and a light path, both kept. A connection of x_n and z_j contributes A_n (g f_x f_z) Phi_j,
+with g detached. With the adjoint delta of the pixel its local factors have the adjoints
 
-    f_x:  delta A_n g f_z Phi_j,        f_z:  delta A_n g f_x Phi_j,
+    f_x:  delta A_n g f_z Phi_j,        f_z:  delta A_n g f_x Phi_j.
 
-and what the light path's vertex is asked for, S_j of ``light_tracing.py``, gains delta A_n g f_x f_z; both sweeps go on
-as before [NDSRJ20, VSJ21].
+The adjoint S_j of the light path's vertex (``light_tracing.py``) gains delta A_n g f_x f_z. Both sweeps otherwise run
+as without connections [NDSRJ20, VSJ21].
 
 Derivation: ``docs/theory/light_tracing.md#inner-connections``.
 """

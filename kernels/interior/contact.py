@@ -1,8 +1,9 @@
-"""Contacts: the interior term's fireflies where a moving surface touches another, and what is done about them.
+"""Contacts: the weight that removes fireflies of the interior term where a moving surface touches another.
 
-Near a line of contact of two surfaces that move against each other a sample is as large as v / r and has no variance.
-So what changes because of that motion is multiplied by chi = 3 (s / rho)^2 where s < rho and 1 elsewhere, s the
-distance from the line of contact: the mean of chi is one, and its bias is of second order in rho.
+Near a line of contact of two surfaces that move against each other, a sample is as large as v / r and has no finite
+variance. The part that this relative motion changes is therefore multiplied by chi = 3 (s / rho)^2 where s < rho, and
+by 1 elsewhere; s is the distance from the line of contact. The mean of chi is one, and its bias is of second order in
+rho.
 
 Derivation: ``docs/theory/interior.md#contacts``.
 """

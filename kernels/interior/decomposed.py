@@ -1,10 +1,10 @@
 """Decomposed branches: the derivative of a microfacet lobe by its roughness, drawn by its sign [BXB*24].
 
-    df = f_D d(log D) + (df - f_D d(log D)),    f_D the part that is proportional to D:
+    df = f_D d(log D) + (df - f_D d(log D)),    f_D the part that is proportional to D.
 
-the first part is positive outside and negative in the middle, or the reverse by an exponent. A direction is drawn from
-each of the two, with densities that are proportional to the derivative of D cos (``bsdf/decomposition.py``), and both
-are traced. The second part, by masking, is drawn by the model's own sampler; models without masking have none.
+The first part is positive outside and negative in the middle (the reverse for an exponent). A direction is drawn from
+each of the two, with densities proportional to the derivative of D cos (``bsdf/decomposition.py``), and both are
+traced. The model's own sampler draws for the second part, which masking causes; models without masking have none.
 
 Derivation: ``docs/theory/interior.md#decomposed-branches``.
 """

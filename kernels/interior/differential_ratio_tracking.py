@@ -1,11 +1,10 @@
 """Differential ratio tracking: points for in-scattering by transmittance alone [NDMKJ22, section 4].
 
-The derivative of in-scattering by the density is int a dsigma T S dt, and collisions, which come by sigma T, estimate
-it with a division by sigma. Ratio tracking draws a point by T instead: of its tentative points t_i, whose weights are
-w_i = prod_{j<i} (1 - sigma_j / M_j), one is chosen by w_i / M_i, and what it finds is weighted with the sum of these.
-Both techniques are weighed by the power heuristic, with sigma and with c, a mean majorant of the ray (the paper has 1,
-which is no length). One stretch of a path is chosen, by its throughput, and the light scattered in at its point is the
-estimate of one path that starts there.
+The derivative of in-scattering by the density is int a dsigma T S dt. Collisions come by sigma T and estimate it with a
+division by sigma. Ratio tracking draws a point by T: of its tentative points t_i with the weights w_i = prod_{j<i} (1 -
+sigma_j / M_j), one is chosen by w_i / M_i and weighted with the sum of these numbers. The power heuristic joins both
+techniques, with sigma and with c, a mean majorant of the ray (the paper has 1, which depends on the unit of length).
+One stretch of a path is chosen by its throughput, and a new path from its point estimates the in-scattered light.
 
 Derivation: ``docs/theory/media.md#differential-ratio-tracking``.
 """

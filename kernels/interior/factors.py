@@ -1,4 +1,4 @@
-"""Where the adjoints of a vertex's factors go: material values, and the light that next-event estimation found."""
+"""The sinks for the adjoints of a vertex's factors: material values, and the light that next-event estimation found."""
 
 import functools
 

@@ -1,11 +1,10 @@
 """Interior term with a first vertex that is a material point, and film points mirrored about the pixel [YZN*22].
 
-Where the first vertex of a path stays on its surface while the camera or the surface moves, its image moves under the
-pixel filter h, and the derivative has a term grad h . u' L: of both signs, and large where h is steep. Film points are
-drawn in fours, mirrored about the pixel's centre, each with a path that has the random numbers of the others: grad h is
-odd, and what their radiances have in common cancels. Four points of equal density are one estimate by multiple
-importance sampling; each alone has the right mean. A box filter, which is even, has its term at its border
-(``pixel_border.py``).
+If the first vertex of a path stays on its surface while camera or surface move, its image moves under the pixel filter
+h, and the derivative has the term grad h . u' L, of both signs and large where h is steep. Film points are drawn in
+fours, mirrored about the pixel's centre, each with a path that has the random numbers of the others. grad h is odd, so
+what their radiances have in common cancels. Four points of equal density are one estimate by multiple importance
+sampling, and each alone has the right mean. A box filter has its term at its border (``pixel_border.py``).
 
 Derivation: ``docs/theory/interior.md#mirrored-film-points``.
 """

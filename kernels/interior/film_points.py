@@ -1,7 +1,7 @@
-"""The image of a material point on the film: where it moves under the pixel filter, and how its area changes [ZYZ21].
+"""The image of a material point on the film: its motion under the pixel filter, and the change of its area [ZYZ21].
 
 A first vertex that stays on its surface, or a direction of the sky that stays in the world, has an image u that moves
-with the camera and the surface. Both derivatives are one local function of what the image depends on.
+with the camera and the surface. One local function of all that the image depends on gives both derivatives.
 
 Derivation: ``docs/theory/interior.md#mirrored-film-points``.
 """

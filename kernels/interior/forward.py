@@ -1,7 +1,8 @@
 """Interior term in forward mode: the derivative travels with the path.
 
-Same factors, parametrisation and detached sampling as record and sweep (``replay.py``), in the other order: with A_n'
-the derivative of the throughput, dI = sum_n A_n' (E_n + D_n) + A_n (E_n' + D_n'). One trace, nothing recorded.
+Factors, parametrisation and detached sampling are those of record and sweep (``replay.py``), in the other order. With
+A_n' the derivative of the throughput, dI = sum_n A_n' (E_n + D_n) + A_n (E_n' + D_n'). One trace suffices, and nothing
+is recorded.
 
 Derivation: ``docs/theory/interior.md#forward-mode``.
 """

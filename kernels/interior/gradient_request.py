@@ -1,4 +1,4 @@
-"""Which derivatives a kernel computes."""
+"""The record of the derivatives that a kernel computes."""
 
 from dataclasses import dataclass
 

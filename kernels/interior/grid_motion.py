@@ -1,7 +1,7 @@
-"""What of a path through grids of voxels moves beside ``media_motion.py``: densities along rays, and at collisions.
+"""Motion of a path through grids of voxels, beside ``media_motion.py``: densities along rays, and at collisions.
 
-A collision keeps its fraction of what its stretch has in the grid's box. Its coefficients change by
-grad(a sigma) . dx, the transmittance to it by the density along the ray, whether or not tracking met it there.
+A collision keeps its fraction of its stretch's part in the grid's box. Its coefficients change by grad(a sigma) . dx.
+The transmittance to it changes by the density along the ray, whether or not tracking met that density.
 
 Derivation: ``docs/theory/media.md#grids-beside-what-moves``.
 """

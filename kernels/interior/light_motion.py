@@ -1,10 +1,9 @@
 """Light paths whose vertices move: derivatives of caustics by glass, mirrors, indices of refraction and lights.
 
-Every vertex rides on the ray that finds it. Rays leave lights in fixed directions, and smooth lobes likewise; mirrors
-and glass turn them. So solid angles at the light and at vertices are the measure, which does not move: what moves are
-places on the film, the camera's importance, scattering functions and the cosines of flux. What shading normals differ
-from geometric ones enters flux by a factor that jumps from triangle to triangle, with a mean of 1: it is held. Edges
-that such paths cross are a boundary term that is not here.
+Every vertex rides on the ray that finds it. Rays leave lights and smooth lobes in fixed directions; mirrors and glass
+turn them. The measure is that of solid angles, which do not move. The places on the film, the camera's importance,
+scattering functions and the cosines of flux move. The correction for shading normals jumps from triangle to triangle
+with a mean of 1, and is held fixed. Edges that such paths cross are a boundary term that is not estimated here.
 
 Derivation: ``docs/theory/light_tracing.md#vertices-that-move``.
 """

@@ -1,7 +1,7 @@
 """The kernels of light paths whose vertices move (``light_motion.py``): recorded as a whole, and swept to the light.
 
-In reverse mode one sweep serves a path: the adjoint image and its slope are read where a vertex is seen. In forward
-mode each vertex that the camera sees has a sweep for every colour, and one for each direction on the film.
+In reverse mode one sweep serves a path: the adjoint image and its slope are read where the camera sees a vertex. In
+forward mode each vertex that the camera sees has one sweep for every colour, and one for each direction on the film.
 """
 
 import functools

@@ -1,8 +1,8 @@
-"""Derivatives by light tracing: its paths differentiated by record and sweep, and in forward mode.
+"""Derivatives of light tracing, by record and sweep of its paths, and in forward mode.
 
-With S_k = A_k J_k + beta_k S_{k+1}, what the adjoint image asks of vertex k and of those behind it, the derivative of a
-path is dPhi . S_1 + sum_k Phi_k (A_k dJ_k + dbeta_k S_{k+1}): the adjoint image is read where a vertex is seen, as in
-radiative backpropagation [NDSRJ20] with light and camera changed over. Vertices are at rest.
+The adjoint image asks S_k = A_k J_k + beta_k S_{k+1} of vertex k and all vertices behind it. The derivative of a path
+is dPhi . S_1 + sum_k Phi_k (A_k dJ_k + dbeta_k S_{k+1}). The adjoint image is read where the camera sees a vertex, as
+in radiative backpropagation [NDSRJ20] with light and camera exchanged. Vertices are at rest.
 
 Derivation: ``docs/theory/light_tracing.md#derivatives``.
 """

@@ -1,9 +1,10 @@
-"""The sweep over a path through media of what moves: vertices, lights, the camera, interfaces [ZYZ21].
+"""The sweep over a path through media for everything that moves: vertices, lights, the camera, interfaces [ZYZ21].
 
-A volume vertex rides as a fraction: on its stretch between two attached crossings of the ray from where its direction
-was drawn, at y, to z, the first surface behind it that is there. So dV = (f G(y, z) J(z)) dA ds times the length of the
-stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands for domains. Grids add how
-their density varies (``grid_motion.py``). What a medium emits along a stretch changes with the stretch's length.
+A volume vertex rides as a fraction of its stretch between two attached crossings of a ray. The ray runs from y, where
+its direction was drawn, to z, the first surface behind the vertex that is no interface. Then dV = (f G(y, z) J(z)) dA
+ds times the length of the stretch, sigma_s, f_p and T: the connection y -> z is that of surfaces, and no term stands
+for moving domains. Grids add the variation of their density (``grid_motion.py``). Emission along a stretch changes with
+its length.
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """

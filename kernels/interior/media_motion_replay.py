@@ -1,7 +1,7 @@
-"""The interior term of what moves in media, by record and sweep, in both modes [ZYZ21].
+"""The interior term of motions in media, by record and sweep, in both modes [ZYZ21].
 
-As ``media_replay.py``, whose kernel has the derivatives by what moves nothing. Kept with each step is where the
-direction of its ray was drawn and the first surface that is there behind it, to which the ray is attached.
+``media_replay.py`` holds the kernel of all other derivatives. Here each step also keeps the point where the direction
+of its ray was drawn, and the first surface behind it that is no interface; the ray is attached to both.
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """

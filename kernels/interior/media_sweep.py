@@ -1,8 +1,7 @@
-"""The backward sweep over the steps of a path through media: one step's factors, differentiated.
+"""The backward sweep over the steps of a path through media: the derivatives of one step's factors.
 
-A step is L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}). M_n, V_n, D_n and the phase function are differentiated
-here, the rest of a surface by its own sweep (``sweep.py``). Nothing moves: distances, directions and densities are
-detached.
+A step is L_n = M_n + V_n (E_n + D_n + beta_n L_{n+1}). This file differentiates M_n, V_n, D_n and the phase function;
+``sweep.py`` differentiates the rest of a surface. Nothing moves: distances, directions and densities are detached.
 
 Derivation: ``docs/theory/media.md#derivatives``.
 """

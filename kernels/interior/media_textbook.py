@@ -1,8 +1,8 @@
 """Interior term in scenes with media by textbook path replay [VSJ21] (``textbook.py``), for comparison.
 
-A first pass adds up the radiance of all steps of a path; the second one traces it again and subtracts what each step
-adds, so that what is left after step n, over the throughput there, is L_{n+1}. Where a component of the throughput is 0
-the quotient is lost, and flights do not collide where there is no density. Nothing moves.
+A first pass adds up the radiance of all steps of a path. The second pass traces the path again and subtracts what each
+step adds; the remainder after step n, over the throughput there, is L_{n+1}. If a component of the throughput is 0, the
+quotient is lost. Flights do not collide where there is no density. Nothing moves.
 
 Derivation: ``docs/theory/media.md#derivatives``.
 """

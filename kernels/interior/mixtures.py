@@ -1,8 +1,8 @@
 """Decomposed branches of mixtures: the derivative by a weight, from the two ends of its range [BXB*24, section 4.3].
 
-A value that is linear in its weight w, f = (1 - w) f_0 + w f_1, has the derivative f_1 - f_0: a direction is drawn from
-each of both by the model's own sampler with the weight at that end, and both are traced with equal random numbers. The
-image's density at the weight as it is serves multiple importance sampling.
+A value that is linear in its weight w, f = (1 - w) f_0 + w f_1, has the derivative f_1 - f_0. The model's own sampler,
+with the weight at either end, draws a direction from each of the two, and both are traced with equal random numbers.
+Multiple importance sampling uses the image's density, at the actual weight.
 
 Derivation: ``docs/theory/interior.md#weights-of-mixtures``.
 """

@@ -1,10 +1,10 @@
 """Opposite candidates: two directions, or two light points, whose derivatives by a normal nearly cancel.
 
-The derivative of a scattering value by the normal m has two numbers, along e_1 in the plane of incidence and along e_2
-across it. Of M candidates of the image's own samplers both are told. One candidate is drawn of those whose number along
-e_1 is negative and one of the others (``resampled.py``). Each half is sorted by the line through the origin that the
-two numbers lie on, and both are drawn at the same quantile, so that the numbers along e_2 cancel, too: one pair serves
-both tilts.
+The derivative of a scattering value by the normal m has two numbers: along e_1 in the plane of incidence, and along e_2
+across it. Both are computed for M candidates of the image's own samplers. One candidate is drawn from those with a
+negative number along e_1, and one from the others (``resampled.py``). Each half is sorted by the line through the
+origin that the two numbers lie on, and both candidates are drawn at the same quantile. The numbers along e_2 then
+cancel as well, and one pair serves both tilts.
 
 Derivation: ``docs/theory/interior.md#resampled-tilts``.
 """

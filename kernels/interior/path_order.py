@@ -1,13 +1,10 @@
-"""Interior term in the order of the path: a vertex's factors are differentiated as soon as it has been left.
+"""Interior term in the order of the path: a vertex's factors are differentiated as soon as the path has left it.
 
-What a method of this kind needs is L_{n+1}, the radiance that arrives at vertex n from where the path goes on. It says
-how that is known: ``textbook.py`` by subtracting what the path meets from what it found in all, ``radiative.py`` by
-another path from there.
-
-The factors are those of record and sweep. The path is seen in forward order, so a vertex's adjoint is not collected
-but scattered in three parts (from the factor before, its own, and the one after), which is exact because everything
-behind the camera is a material point. Chains through smooth mirrors and glass would need the parts summed first; the
-plan refuses them.
+A method of this kind needs L_{n+1}, the radiance at vertex n from the direction in which the path continues.
+``textbook.py`` subtracts what the path meets from its total; ``radiative.py`` traces another path from there. The
+factors are those of record and sweep. A vertex's adjoint is scattered in three parts (from the factor before, its own,
+and the one after) and not collected first. This is exact because everything behind the camera is a material point.
+Chains through smooth mirrors and glass would need the sum of the parts; the plan refuses them.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,9 @@
 """Branches in participating media: the derivative by g of ``hg``, from directions that are drawn for it.
 
-As on surfaces (``branch.py``): a path is drawn as for an image, and one of its collisions in a medium with that phase
-function is chosen. There a direction is drawn from each lobe of the derivative, in closed form or of candidates of the
-phase function, and both are traced with equal random numbers; two of the image's light points are drawn likewise. MIS
-weights are those of the image.
+As on surfaces (``branch.py``), a path is drawn as for an image, and one of its collisions in a medium with that phase
+function is chosen. There, a direction is drawn from each lobe of the derivative, in closed form or from candidates of
+the phase function, and both are traced with equal random numbers. Two of the image's light points are drawn likewise.
+MIS weights are those of the image.
 
 Derivation: ``docs/theory/media.md#lobes-of-a-phase-function``.
 """

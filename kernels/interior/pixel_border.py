@@ -1,8 +1,8 @@
-"""What film points that move carry across the border of a box filter, beside ``film_antithetic.py`` [YZN*22].
+"""Flux of moving film points across the border of a box filter, beside ``film_antithetic.py`` [YZN*22].
 
-A box counts nothing beyond its border, and material points move across it: of the integral over a pixel they take
-h u' . N L along the border, N its outward normal. Points lie at the same place on the four sides, each with a path that
-has the random numbers of the others: where L is even, what enters on one side leaves on the other.
+A box filter counts nothing beyond its border, and material points move across it. The integral over a pixel loses or
+gains h u' . N L along the border, with its outward normal N. Four points lie at the same place on the four sides, each
+with a path that has the random numbers of the others: where L is even, what enters on one side leaves on the other.
 
 Derivation: ``docs/theory/interior.md#mirrored-film-points``.
 """

@@ -1,14 +1,14 @@
 """Interior term by radiative backpropagation [NDSRJ20]: adjoint paths that estimate the light at every vertex anew.
 
-A path from the camera carries the adjoint of the image, alpha_n = A_n . delta. At each of its vertices the derivative
-of the factor that it scatters by is multiplied by L_{n+1}, the radiance that arrives from the direction drawn there,
-estimated by a path of its own from the same vertex with other random numbers:
+A camera path carries the adjoint of the image, alpha_n = A_n . delta. At each of its vertices the derivative of the
+scattering factor is multiplied by L_{n+1}, the radiance from the direction drawn there. A new path from that vertex, in
+the same direction with other random numbers, estimates L_{n+1}:
 
     dI = sum_n alpha_n (dE_n + dD_n + dbeta_n L_{n+1}).
 
-Nothing is kept and nothing divided, so that no derivative of a factor that is exactly zero is lost. A path of N
-vertices costs N more paths, of N - 1, N - 2, ... vertices: time grows with the square of the depth. ``linear`` takes 1
-for every L_{n+1}, which is biased: dark paths count as bright ones.
+Nothing is kept and nothing divided, so the derivative of a factor that is exactly zero is not lost. A path of N
+vertices costs N more paths, of N - 1, N - 2, ... vertices: time grows with the square of the depth. ``linear`` sets
+every L_{n+1} to 1, which is biased: dark paths count as bright ones.
 
 Derivation: ``docs/methods/radiative.md``.
 """

@@ -1,8 +1,8 @@
-"""Interior term by record and sweep: path replay [VSJ21] without its division (survey eq. 12 first term, eq. 55).
+"""Interior term by record and sweep: path replay [VSJ21] without its division ([ZCZ25] eq. 12 first term, eq. 55).
 
 With L_n = E_n + D_n + beta_n L_{n+1} and the detached prefix A_n, the derivative of one sample is sum_n A_n . ( dE_n +
-dD_n + dbeta_n L_{n+1} ). A backward sweep that carries L_{n+1} needs no division by a factor: where one is exactly zero
-its derivative is still right. Longer paths are replayed in blocks of K vertices.
+dD_n + dbeta_n L_{n+1} ). A backward sweep that carries L_{n+1} needs no division by a factor, so the derivative is
+right even where a factor is exactly zero. Longer paths are replayed in blocks of K vertices.
 
 Derivation: ``docs/theory/interior.md#replay-by-record-and-sweep``.
 """

@@ -1,9 +1,9 @@
-"""Resampled positivisation, after the decomposition of derivatives into two signs [BXB*24, section 4].
+"""Resampled branches: the derivative of a lobe's shape, split into its two signs by resampling [BXB*24, section 4].
 
-A derivative of a lobe's shape has both signs, and most of the variance of its estimate is the sign. M stratified
-candidates are drawn from the model's own sampler and t = |adjoint . derivative| / p is computed for each, with its
-sign; then one is drawn by the positive parts and one by the negative parts, and what the two find is weighted with the
-sum of the parts over M t. No closed form is needed, so it serves every model and every number.
+Such a derivative has both signs, and most of the variance of its estimate is the sign. M stratified candidates are
+drawn from the model's own sampler, and the signed number t = adjoint . derivative / p is computed for each. One
+candidate is drawn by the positive parts and one by the negative parts. The light that the two find is weighted with the
+sum of the parts over M t. No closed form is needed, so the method serves every model and every number.
 
 Derivation: ``docs/theory/interior.md#resampled-branches``.
 """

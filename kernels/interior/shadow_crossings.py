@@ -1,7 +1,7 @@
-"""What the segment to a vertex's light crosses, when it is walked again: less is searched than the first time.
+"""The crossings of a shadow segment, found again for the sweep with less searching than the first time.
 
-That walk has kept the first surface, and how many there are. So one ray less than surfaces is traced, none through a
-single interface.
+The first walk has kept the first surface and the number of surfaces. The second walk therefore traces one ray less than
+there are surfaces, and none through a single interface.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""Segments to lights through media, as what they join moves: their transmittance, and the point of the light.
+"""Segments to lights through media while their ends move: the transmittance, and the point of the light.
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """

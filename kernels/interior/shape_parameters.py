@@ -1,8 +1,8 @@
-"""The material numbers that shape a lobe or mix lobes: those that branches differentiate by.
+"""The material values that shape a lobe or mix lobes, by which branches (``branch.py``) differentiate.
 
-Branches (``branch.py``) differentiate by one number of a vertex's material at a time: the texture that holds it. Values
-that share a texture, as an isotropic roughness is both ``alpha_u`` and ``alpha_v``, move together. The direction in
-which a material moves is a record of its values' velocities.
+A branch differentiates by one number of a vertex's material at a time: the texture that holds it. Values that share a
+texture move together (an isotropic roughness is both ``alpha_u`` and ``alpha_v``). The direction in which a material
+moves is a record of its values' velocities.
 """
 
 import functools

@@ -1,7 +1,7 @@
-"""Decomposed branches by numbers whose derivative is the sum of two lobes, each of one sign as it stands [BXB*24].
+"""Decomposed branches by numbers whose derivative is the sum of two lobes of one sign each [BXB*24].
 
-A, B and C of ``abc`` scale a density of normals or turn it into another one of a single sign; sigma of ``orennayar``
-has a term that falls and one that grows. A direction is drawn from each of the two lobes, in proportion to the
+A, B and C of ``abc`` scale a density of normals or turn it into another one of a single sign. sigma of ``orennayar``
+has one term that falls and one that grows. A direction is drawn from each of the two lobes, in proportion to the
 derivative, and both are traced.
 
 Derivation: ``docs/theory/interior.md#lobes-of-one-sign``.

@@ -1,4 +1,4 @@
-"""The backward sweep over a path's vertices: one vertex's factors, differentiated (derivation: ``replay.py``)."""
+"""The backward sweep over a path's vertices: the derivatives of one vertex's factors (``replay.py``)."""
 
 import functools
 

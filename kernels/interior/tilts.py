@@ -1,4 +1,4 @@
-"""What turns the normals of lobes: the material values that antithetic pairs (``antithetic.py``) differentiate by."""
+"""The material values that turn the normals of lobes, by which antithetic pairs (``antithetic.py``) differentiate."""
 
 import functools
 from typing import NamedTuple

@@ -1,9 +1,9 @@
-"""Interior term before a transient film, by record and sweep with attached path lengths [WCRZ21, YKC*21].
+"""Interior term on a transient film, by record and sweep with attached path lengths [WCRZ21, YKC*21].
 
-What vertex n sends counts for the loss by a(ell) = sum_b delta_b w_b(ell), delta the image's adjoint and ell the length
-that it has gone. So the sweep of ``sweep.py`` runs over weighted emission and next-event estimates, for one channel at
-a time, since the weights of E_n and D_n are colours of their own. The weights' derivative a'(ell) goes to the ends of
-every segment: |x_n - x_{n-1}| has the adjoint S_n, the sum of a' times light over all that comes from vertex n on.
+The light of vertex n counts for the loss by a(ell) = sum_b delta_b w_b(ell), with the image's adjoint delta and the
+length ell that the light has gone. The sweep of ``sweep.py`` runs over weighted emission and next-event estimates, one
+channel at a time, since the weights of E_n and D_n are colours. The derivative a'(ell) goes to the ends of every
+segment: |x_n - x_{n-1}| has the adjoint S_n, the sum of a' times light over all that comes from vertex n on.
 
 Derivation: ``docs/theory/transient.md#reverse-mode``.
 """

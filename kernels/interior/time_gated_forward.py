@@ -1,8 +1,8 @@
-"""Interior term before a transient film in forward mode: lengths travel with the path, as the derivative does.
+"""Interior term on a transient film in forward mode: lengths travel with the path, as the derivative does.
 
-The vertices' velocities are those of ``forward.py``, and so are the derivatives of what they send, of emission and of
-next-event estimates one after the other. With ell_n' = ell_{n-1}' + eta u . (x_n' - x_{n-1}'), u along the segment, bin
-b receives w_b(ell) L' + dw_b / dell ell' L of light L that has gone ell.
+The velocities of vertices, and the derivatives of emission and next-event estimates, are those of ``forward.py``. With
+ell_n' = ell_{n-1}' + eta u . (x_n' - x_{n-1}'), u along the segment, bin b receives w_b(ell) L' + dw_b / dell ell' L of
+light L that has gone the length ell.
 
 Derivation: ``docs/theory/transient.md#forward-mode``.
 """

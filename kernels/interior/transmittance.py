@@ -1,4 +1,4 @@
-"""The derivative of a shadow ray's transmittance: its segment is walked again, dT = sum_i (T / T_i) dT_i.
+"""The derivative of a shadow ray's transmittance: the segment is walked again, dT = sum_i (T / T_i) dT_i.
 
 Derivation: ``docs/theory/interior.md#null-lobes``.
 """

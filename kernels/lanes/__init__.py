@@ -1,1 +1,1 @@
-"""Paths side by side in SIMD registers: a closed extension for the scenes that it covers."""
+"""Paths side by side in SIMD registers: an optional extension for the scenes that it covers."""

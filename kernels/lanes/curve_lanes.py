@@ -1,10 +1,10 @@
 """Rays of all lanes against tubes about B-splines (``primitive/curves.py``).
 
-Each lane takes the pieces that its ray comes by, one after the other. The piece's boxes are walked and its control
-points are fetched lane by lane; to test it, and to search for where the ray enters, round by round, is a loop over all
-lanes. Rays that run along a bent piece, or graze it, are followed lane by lane. Lanes that are done with their piece
-take the next one as soon as they are one in ``SHARE`` of those at work. Rays meet the same pieces in the same order as
-alone, by the same functions.
+Each lane takes the pieces near its ray one after the other. Boxes are walked and control points fetched lane by lane.
+The test of a piece, and the search for the ray's entry, round by round, are loops over all lanes. Rays that run along a
+bent piece, or graze it, are followed lane by lane. Lanes that are done with their piece take the next one as soon as
+they are one in ``SHARE`` of those at work. Each ray meets the same pieces in the same order as alone, by the same
+functions.
 """
 
 import warp as wp

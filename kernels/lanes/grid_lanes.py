@@ -1,8 +1,8 @@
 """Rays of all lanes through a grid of signed distances, or the cells of a network (``primitive/sdfgrid_walk.py``).
 
-To enter the block around the surface, and to go on to the next voxel that the surface may pass, is a loop over all
-lanes, whose loads of reaches are gathers. Roots are looked for lane by lane, as soon as one in ``SHARE`` of the lanes
-at work waits for one. Rays go through the same voxels as alone, by the same functions.
+Entering the block around the surface, and going on to the next voxel that the surface may pass, are loops over all
+lanes, whose loads of reaches are gathers. Roots are found lane by lane, as soon as one in ``SHARE`` of the lanes at
+work waits for one. Rays go through the same voxels as alone, by the same functions.
 """
 
 import warp as wp

@@ -1,9 +1,9 @@
-"""What is kept of the vertices of paths that are traced side by side (``path_lanes.py``), for a sweep back over them.
+"""The vertices that paths side by side (``path_lanes.py``) keep for a sweep back over them.
 
-The vertices of one depth lie side by side. They are for the sweep's eyes alone: a sweep of single paths reads one after
-the other, and those that are themselves side by side read rows. They need more of a vertex, which to fetch and to look
-up again took as long as their own arithmetic: that of geometry (``lanes/sweep_lanes.py``) nearly all, that of materials
-(``lanes/material_sweep.py``) what a light sent there.
+The vertices of one depth lie side by side, for the sweep alone: a sweep of single paths reads one after the other, and
+a sweep of several paths reads rows. More of a vertex is kept than a single path keeps, because fetching and looking it
+up again took as long as the arithmetic: nearly everything for the sweep of geometry (``lanes/sweep_lanes.py``), and the
+light that arrived for the sweep of materials (``lanes/material_sweep.py``).
 """
 
 from typing import NamedTuple

@@ -1,8 +1,8 @@
-"""Values of several paths side by side, so that the compiler makes SIMD of loops over the paths.
+"""Values of several paths side by side, so that the compiler turns loops over the paths into SIMD.
 
-A loop ``while j < W`` whose body is made of Warp functions is turned into SIMD by LLVM's loop vectoriser, with the bits
-of single paths. The paths' values lie in rows of ``Scene.rows``, read and written as ``char32_t``, so that the compiler
-knows them apart from the scene's floats and integers.
+LLVM's loop vectoriser turns a loop ``while j < W`` whose body consists of Warp functions into SIMD, with the bits of
+single paths. The paths' values lie in rows of ``Scene.rows``. They are read and written as ``char32_t``, which tells
+the compiler that they do not overlap the scene's floats and integers.
 
 Derivation: ``docs/theory/rays.md#paths-side-by-side``.
 """

@@ -1,8 +1,8 @@
-"""Next-event estimates of as many paths as there are lanes, in step (``path_lanes.py``): their lights.
+"""Next-event estimates for all lanes in step (``path_lanes.py``): their lights.
 
-A light, the triangle of an area light, and the cell of an image environment are found by binary search in cumulative
-probabilities, as by ``find_interval``, each step a loop over all lanes: an entry costs a gather. Searches that have
-ended go on without moving. Those of an image environment are among few entries, by its guides.
+Binary search in cumulative probabilities finds a light, the triangle of an area light, and the cell of an image
+environment, as by ``find_interval``. Each step is a loop over all lanes, and an entry costs a gather. Searches that
+have ended continue without moving. Guides shorten the searches in an image environment.
 """
 
 from typing import NamedTuple

@@ -1,12 +1,11 @@
-"""The backward sweep of ``sweep.py`` over paths side by side, where numbers of materials alone are wanted.
+"""The backward sweep of ``sweep.py`` over paths side by side, for requests of material values alone.
 
-All paths are swept from their n-th vertex to the one before together, n from the last one down: a few products, after
-which the vertices have no order any more. They wait until they fill the lanes (``waiting_lanes.py``). Where they stand
-is found out again as it was when they were traced (``place_lanes.py``); of the light that was drawn, the radiance is
-kept. A model's adjoint is a loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated
-lane by lane, and so is added what the gradient gets, for two paths may meet the same material.
-
-Of diffuse materials a vertex is a few products: one path after the other is faster.
+All paths are swept from their n-th vertex to the one before together, from the last vertex down. This takes a few
+products, after which the vertices have no order any more; they wait until they fill the lanes (``waiting_lanes.py``).
+``place_lanes.py`` finds their points again; the radiance of the light that was drawn is kept. A model's adjoint is a
+loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated lane by lane, and gradients
+are added lane by lane, for two paths may meet the same material. A diffuse vertex is only a few products, so diffuse
+materials are swept one path after the other, which is faster.
 """
 
 import warp as wp

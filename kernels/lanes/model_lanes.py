@@ -1,8 +1,8 @@
-"""What several scattering models give for as many paths as there are lanes, in step (``path_lanes.py``): one by one.
+"""Values, samples and densities of several scattering models for all lanes in step (``path_lanes.py``), model by model.
 
-A model that no path stands on is left out. Of the others, one that does not branch (``Functions.branches``) is a loop
-over all lanes, which becomes SIMD; lanes on other materials are computed along, and keep what they have. Of one that
-branches, the lanes that stand on it are computed, one after the other.
+A model that no path stands on is left out. A model that does not branch (``Functions.branches``) is a loop over all
+lanes, which becomes SIMD; lanes on other materials are computed too, and keep their own results. A model that branches
+is computed for the lanes that stand on it, one after the other.
 """
 
 from collections.abc import Callable

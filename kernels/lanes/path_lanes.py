@@ -1,9 +1,9 @@
 """The path loop of ``path.py`` for as many samples as there are lanes, in step (``lanes.py``).
 
-Each part of a vertex is a loop over all lanes. What is rare (emitters that are hit, rays that leave the scene), what is
-looked up in tables, and rays through a tree of several levels are done lane by lane; the rest, which is most of the
-arithmetic, becomes SIMD. Shapes without triangles are met after those with (``primitive_lanes.py``). Lanes whose path
-has ended are computed along and never looked at. A path has the bits that it has alone.
+Each part of a vertex is a loop over all lanes. Rare events (emitters that are hit, rays that leave the scene), table
+look-ups, and rays through a tree of several levels run lane by lane; the rest, which is most of the arithmetic, becomes
+SIMD. Shapes without triangles are intersected after the triangles (``primitive_lanes.py``). Lanes whose path has ended
+are computed too, and never read. A path has the bits that it has alone.
 """
 
 import functools

@@ -1,8 +1,8 @@
-"""Where as many paths as there are lanes stand, in step (``path_lanes.py``): points, frames and materials.
+"""Interactions of all lanes in step (``path_lanes.py``): points, frames and materials.
 
-Triangles are fetched whole and transposed (``lanes.make_fetch``). What is found by following numbers through the
-scene's tables, shape to material to texture to values, is looked up lane by lane, and of textures any kind may be: as
-SIMD it would be a gather for each word, which on the processors at hand takes as long as the loads, or longer.
+Triangles are fetched whole and transposed (``lanes.make_fetch``). Chains of numbers through the scene's tables, shape
+to material to texture to values, are followed lane by lane, with textures of any kind. As SIMD they would need a gather
+for each word, which takes as long as the loads or longer on the processors measured.
 """
 
 from typing import NamedTuple

@@ -1,9 +1,9 @@
-"""What paths side by side (``path_lanes.py``) meet of shapes without triangles, after those with.
+"""Intersection of paths side by side (``path_lanes.py``) with shapes without triangles, after the triangles.
 
-Each shape is met by the rays of all lanes. An affine one is the same for all of them, so that a loop over lanes becomes
-SIMD; tubes, grids and networks are met step by step (``curve_lanes.py``, ``grid_lanes.py``), straight curves lane by
-lane. Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions:
-hits have the same bits.
+The rays of all lanes meet each shape. An affine shape is the same for all of them, so a loop over lanes becomes SIMD.
+Tubes, grids and networks are met step by step (``curve_lanes.py``, ``grid_lanes.py``), straight curves lane by lane.
+Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions, so hits
+have the same bits.
 """
 
 import functools

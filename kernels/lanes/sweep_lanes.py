@@ -1,13 +1,11 @@
-"""The backward sweep of ``sweep.py`` over the vertices of as many paths as there are lanes, in step (``lanes.py``).
+"""The backward sweep of ``sweep.py`` over the vertices of all lanes, in step (``lanes.py``).
 
 Derivation and parametrisation are those of ``replay.py``. All paths are swept from their n-th vertex to the one before
-together, n from the last one down: what is kept of the vertices of one depth lies side by side. A loop over all lanes,
-which becomes SIMD, does the arithmetic of a connection or of a vertex. What it finds out is added to the gradient lane
-by lane (``sweep_sinks.py``), for two paths may meet the same triangle. The first vertex of a path, whose barycentrics
-are attached to the camera's ray, ends in ``sweep.finish``, path by path.
-
-It serves diffuse scenes in which vertices move. Where none does, a vertex is a few products, and one path after the
-other is faster.
+together, from the last vertex down; the kept vertices of one depth lie side by side. A loop over all lanes, which
+becomes SIMD, does the arithmetic of a connection or of a vertex. Results are added to the gradient lane by lane
+(``sweep_sinks.py``), for two paths may meet the same triangle. The first vertex of a path has barycentrics that are
+attached to the camera's ray, and ends in ``sweep.finish``, path by path. The file serves diffuse scenes in which
+vertices move. If none moves, a vertex is a few products, and one path after the other is faster.
 """
 
 import warp as wp

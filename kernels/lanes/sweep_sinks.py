@@ -1,4 +1,4 @@
-"""Where the adjoints go that ``sweep_lanes.py`` finds for the vertices of several paths, lane by lane."""
+"""The sinks for the adjoints that ``sweep_lanes.py`` finds at the vertices of several paths, lane by lane."""
 
 import warp as wp
 

@@ -1,9 +1,9 @@
-"""Paths that stand on a surface and wait until as many do as there are lanes (``path_lanes.py``).
+"""Paths that stand on a surface and wait until there are as many as lanes (``path_lanes.py``).
 
-Most rays of an open scene leave it. If the paths of a bundle went on in their lanes, a few of them would be shaded with
-all the others' lanes computed along. Instead, what a path hands to its next vertex is appended to a queue, word by
-word, and vertices are shaded by full registers of paths from its front. A queue is emptied as it is filled again: what
-is appended never outnumbers what has been taken.
+Most rays of an open scene leave it. If the paths of a bundle continued in their lanes, a few of them would be shaded
+while all the other lanes were computed in vain. Instead, the state that a path hands to its next vertex is appended to
+a queue, word by word, and full registers of paths are shaded from its front. A queue is emptied as it is filled again:
+no more is appended than has been taken.
 
 Derivation: ``docs/theory/rays.md#paths-that-wait``.
 """

@@ -1,1 +1,1 @@
-"""Participating media: their records, how far light flies in them, and what of it they let pass."""
+"""Participating media: their records, the flights of light in them, and their transmittance."""

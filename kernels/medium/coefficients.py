@@ -1,7 +1,7 @@
-"""Coefficients of media, and where the derivatives of a flight's factor go.
+"""Coefficients of media, and the sinks for the derivatives of a flight's factor.
 
-A flight of the length t has the factor V = a sigma T(t) where it ends in a collision, and V = T(t) where it passes,
-T(t) = exp(-sigma t). Both have derivatives at sigma = 0 and a = 0.
+A flight of the length t has the factor V = a sigma T(t) if it ends in a collision, and V = T(t) if it passes, with T(t)
+= exp(-sigma t). Both have derivatives at sigma = 0 and a = 0.
 
 Derivation: ``docs/theory/media.md#flights``.
 """

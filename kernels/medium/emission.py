@@ -1,10 +1,11 @@
 """Light that a homogeneous medium emits along a stretch of a path, and its derivatives.
 
-A medium emits the radiance epsilon per unit length (W / (m^2 sr m)). A stretch of the length l sends
-E = epsilon w(sigma, l), w = (1 - exp(-sigma l)) / sigma, to its beginning: a closed form, without a draw, and l where
-there is no extinction. That of microflakes is A(d) sigma_t (``phase/sggx.py``). Nothing moves here.
+A medium emits the radiance epsilon per unit length (W / (m^2 sr m)). A stretch of the length l sends E = epsilon
+w(sigma, l), w = (1 - exp(-sigma l)) / sigma, to its beginning; w = l without extinction. This closed form needs no
+sample. The extinction of microflakes is A(d) sigma_t (``phase/sggx.py``). Nothing moves here. ``grid_emission.py``
+treats grids.
 
-Grids have a file of their own (``grid_emission.py``). Derivation: ``docs/theory/media.md#emission``.
+Derivation: ``docs/theory/media.md#emission``.
 """
 
 import functools

@@ -1,10 +1,11 @@
-"""How far a path flies in a homogeneous medium before it collides, and the weight of that flight.
+"""The length of a flight in a homogeneous medium before a collision, and the weight of that flight.
 
 Free flights have the density p(t) = mean over the channels of sigma_k exp(-sigma_k t), and pass a stretch of the length
-L with the probability P = mean_k exp(-sigma_k L): one channel is drawn, all of them weigh (spectral multiple importance
-sampling). Where derivatives by the density are asked for, a share q of the flights has to end on the stretch, by the
-same exponential cut off at L. So p is at least q / L where sigma vanishes, and the derivative of in-scattering there,
-albedo / p, has its estimate. On a stretch that no surface ends the forced share has a density like 1 / (1 + kappa t)^2.
+L with the probability P = mean_k exp(-sigma_k L): one channel is drawn, and all of them weigh (spectral multiple
+importance sampling). If derivatives by the density are requested, a share q of the flights must end on the stretch, by
+the same exponential cut off at L. p is then at least q / L where sigma vanishes, so the derivative of in-scattering,
+albedo / p, can be estimated there. On a stretch without an end, the forced share has a density like 1 / (1 + kappa
+t)^2.
 
 Derivation: ``docs/theory/media.md#flights``.
 """

@@ -1,9 +1,9 @@
-"""Where the derivatives of flights through grids go, and those of the transmittance of segments.
+"""The sinks for the derivatives of flights through grids, and of the transmittance of segments.
 
-The derivative of T = exp(-int sigma) is -T int dsigma, whatever tracking drew: the integral is estimated at four
-stratified points of the stretch, from numbers of their own, and T is the estimate that tracking has made [Nimier-David
-et al. 2022, section 4.1]. Majorants and the weights of tracking are not differentiated, so a density that vanishes, or
-that touches its majorant, is as any other.
+The derivative of T = exp(-int sigma) is -T int dsigma, whatever tracking drew. The integral is estimated at four
+stratified points of the stretch, from random numbers of their own; T is tracking's estimate [Nimier-David et al. 2022,
+section 4.1]. Majorants and the weights of tracking are not differentiated, so a density that vanishes, or that equals
+its majorant, needs no special case.
 
 Derivation: ``docs/theory/media.md#derivatives-of-grids``.
 """

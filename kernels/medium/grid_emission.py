@@ -1,11 +1,10 @@
 """Light that a medium of grids emits along a stretch of a path, and its derivatives.
 
-With the radiance epsilon(t) per unit length a stretch sends M = int epsilon T dt to its beginning. One point is drawn
-in each quarter of the stretch, T is estimated by ratio tracking from point to point, and nothing is divided by: the
-density may vanish. Where light is emitted is what the cube of the extinction and that of ``emission`` say, as of an
-albedo. The derivative of T up to a point is -T int dsigma, at one point of its own before each of them.
-
-All numbers come from a stream of the step's own, so that a sweep finds the points of the path again.
+With the radiance epsilon(t) per unit length, a stretch sends M = int epsilon T dt to its beginning. One point is drawn
+in each quarter of the stretch, and ratio tracking estimates T from point to point. Nothing is divided by the density,
+which may vanish. The boxes of the extinction and of ``emission`` bound the emission, as the albedo's box bounds
+scattering. The derivative of T up to a point is -T int dsigma, at one point of its own before each of them. All random
+numbers come from a stream of the step's own, so that a sweep finds the points of the path again.
 
 Derivation: ``docs/theory/media.md#emission-of-grids``.
 """

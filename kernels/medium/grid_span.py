@@ -1,12 +1,12 @@
-"""Where a ray through a grid is, as it moves: the part of a stretch that lies in the grid's box, and its optical depth.
+"""The part of a moving ray's stretch that lies in a grid's box, and the derivative of its optical depth.
 
-The box of a grid ends its medium as an interface does: points of the medium keep their fraction of what lies between
-two crossings, each attached to an interface, or to a plane of the box. With p = y + t d, and both ends attached,
+The box of a grid ends its medium as an interface does: points of the medium keep their fraction of the stretch between
+two crossings, each attached to an interface or to a plane of the box. With p = y + t d, and both ends attached,
 
     d int sigma dt = int grad sigma . (dy + t dd) dt + sigma(far) dfar - sigma(near) dnear,
 
-the integral at the stratified points of ``grid_adjoint.py``. A crossing of the box at the distance t has the adjoint of
-its place along the box's axis, in voxels, where the planes rest.
+with the integral at the stratified points of ``grid_adjoint.py``. The distance t of a crossing of the box has the
+adjoint of its position along the box's axis, in voxels, where the planes are at rest.
 
 Derivation: ``docs/theory/media.md#grids-beside-what-moves``.
 """

@@ -1,7 +1,7 @@
-"""Surfaces that are not there (Mitsuba's ``null``) as they move: what a ray crosses, and what it ends at behind them.
+"""Interfaces of media (Mitsuba's ``null``) in motion: a ray's crossings, and the first real surface behind them.
 
-A ray o + t d crosses an interface of the normal n at a point that rides on it with the velocity c', so that
-t' = n . (c' - o' - t d') / (n . d).
+A ray o + t d crosses an interface with the normal n at a point that rides on the interface with the velocity c', so
+that t' = n . (c' - o' - t d') / (n . d).
 
 Derivation: ``docs/theory/media.md#what-moves``.
 """

@@ -1,7 +1,7 @@
-"""What a straight line through media meets: interfaces that are not there change the medium and no more.
+"""A straight line through media: its crossings with interfaces, which only change the medium, and its transmittance.
 
-Shared by the estimators of the boundary term, which look along lines whose ends are known. The transmittance of grids
-is an estimate, by ratio tracking.
+The estimators of the boundary term look along lines with known ends, and share this file. Ratio tracking estimates the
+transmittance of grids.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

@@ -1,4 +1,4 @@
-"""Values of a NanoVDB grid as a dense one, which is what kernels read and have derivatives by."""
+"""Values of a NanoVDB grid as a dense grid, which kernels read and differentiate by."""
 
 import warp as wp
 

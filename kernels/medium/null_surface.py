@@ -1,6 +1,6 @@
-"""Surfaces that are not there (Mitsuba's ``null``): which triangles are, and how a ray goes on behind what it meets.
+"""Interfaces of media (Mitsuba's ``null``): which triangles are interfaces, and how a ray continues behind one.
 
-All of an interaction that such a crossing needs is the point, the normal and the shape, so none is made.
+A crossing needs only the point, the normal and the shape, so no interaction is made.
 
 Derivation: ``docs/theory/media.md#paths``.
 """

@@ -1,7 +1,7 @@
-"""Shadow rays in scenes with media: the transmittance of what they fly through, and of the surfaces that let them pass.
+"""Shadow rays in scenes with media: the transmittance of the media and of the surfaces that let light pass.
 
-Interfaces that are not there (Mitsuba's ``null``) change the medium and nothing else. Which medium a ray enters is
-Mitsuba's rule: that of the side, inside or outside, of the shape that it crosses.
+Interfaces (Mitsuba's ``null``) change the medium and nothing else. Mitsuba's rule gives the medium that a ray enters:
+that of the side, inside or outside, of the shape that it crosses.
 
 Derivation: ``docs/theory/media.md#next-event-estimation``.
 """

@@ -1,14 +1,14 @@
 """Flights through grids by delta tracking, and the transmittance of segments by ratio tracking.
 
-Tentative points come at the rate M of the cell that the ray is in. Delta tracking [Woodcock et al. 1965] takes one for
+Tentative points come at the rate M of the cell that the ray is in. Delta tracking [Woodcock et al. 1965] accepts one as
 a collision with the probability sum_k h_k sigma_k / M, h_k the share of a channel in the weight W so far, and
-multiplies W by what that leaves over; ratio tracking [Novak et al. 2014] multiplies it by 1 - sigma / M at each. Of
+multiplies W by the remainder. Ratio tracking [Novak et al. 2014] multiplies W by 1 - sigma / M at each point. For
 microflakes sigma has the factor A(x, d), and M a bound on it (``phase/microflakes.py``).
 
-Where derivatives by the density are asked for, a clock of the rate epsilon = q / l runs beside, l the length of the
-stretch in the grid, and the path collides where it rings, too. Collisions then have the density
-(h . sigma + epsilon) T exp(-epsilon t), of which T is unknown, and cancels: V = W a sigma exp(epsilon t) / (h . sigma +
-epsilon) is at most W a e^q, and so is the derivative of in-scattering where sigma vanishes at most a l e^q / q.
+If derivatives by the density are requested, a clock of the rate epsilon = q / l runs along, l the length of the stretch
+in the grid, and the path also collides where the clock rings. Collisions then have the density (h . sigma + epsilon) T
+exp(-epsilon t), whose unknown T cancels: V = W a sigma exp(epsilon t) / (h . sigma + epsilon) is at most W a e^q. Where
+sigma vanishes, the derivative of in-scattering is at most a l e^q / q.
 
 Derivation: ``docs/theory/media.md#grids``.
 """

@@ -1,8 +1,8 @@
-"""Volumes that vary: grids of voxels, read between them, and where the adjoints of what is read go.
+"""Volumes that vary: grids of voxels, their interpolation, and the sinks for the adjoints of interpolated values.
 
-A grid is the record of a texture (``structs.Texture``): ``width`` x ``height`` x ``first`` voxels along x, y, z,
-stored with x fastest, ``to_uv`` the flat offset of the 3x4 row-major matrix from the scene's coordinates to the unit
-cube that it fills, ``second``, of an extinction, the flat offset of its super-grid (``majorant.py``). Voxel i has its
+A grid is the record of a texture (``structs.Texture``): ``width`` x ``height`` x ``first`` voxels along x, y, z, stored
+with x fastest. ``to_uv`` is the flat offset of the 3x4 row-major matrix from the scene's coordinates to the unit cube
+that the grid fills; ``second`` of an extinction is the flat offset of its super-grid (``majorant.py``). Voxel i has its
 centre at (i + 1/2) / width, as in Mitsuba. A constant that a medium of grids uses is a grid of one voxel.
 
 Derivation: ``docs/theory/media.md#grids``.

@@ -1,10 +1,10 @@
 """Two phase functions (Mitsuba's ``blendphase``): f_p = (1 - w) f_0 + w f_1 with a weight w from 0 to 1.
 
-One of the two is drawn with its share and then a direction from it, so that the density of a sample is the value. The
-derivative by w is f_1 - f_0, also where one of them is never drawn: both are positive in all directions, but for tables
-with zeros. A blend is the record of a texture: at ``offset`` the weight, ``width`` and ``height`` the kinds (PHASE_*)
-of both, ``first`` and ``second`` their places, as ``Medium.g``. The weight of the kind PHASE_BLEND_GRID varies in the
-medium: its ``offset`` is the number of a grid (``medium/volume.py``).
+One of the two is drawn by its share and then a direction from it, so that the density of a sample is the value. The
+derivative by w is f_1 - f_0, even where one of the two is never drawn: both are positive in all directions, except for
+tables with zeros. A blend is the record of a texture: at ``offset`` the weight, ``width`` and ``height`` the kinds
+(PHASE_*) of both, ``first`` and ``second`` the places of their values, as ``Medium.g``. The weight of the kind
+PHASE_BLEND_GRID varies in the medium: its ``offset`` is the number of a grid (``medium/volume.py``).
 
 Derivation: ``docs/theory/media.md#paths``.
 """

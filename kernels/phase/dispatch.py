@@ -1,4 +1,4 @@
-"""The phase functions of a scene: those of its own media and no others."""
+"""The phase functions of a scene, compiled for the kinds that its media use."""
 
 import functools
 from typing import NamedTuple

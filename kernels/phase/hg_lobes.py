@@ -1,8 +1,8 @@
 """The two lobes of one sign of the derivative of ``hg`` by g [BXB*24]: negative backward, positive forward.
 
-With 1 + g^2 - 2 g mu = (1 - g y)^2, so that mu = y + g (1 - y^2) / 2, the cosine mu comes below that of y with a
-probability whose derivative by g is -K(y), K(y) = (1 - y^2) (3 - 2 g y - g^2) / (4 (1 - g y)^3): nothing cancels as g
-vanishes. K is greatest where the derivative of the density changes its sign, at mu = g (5 - g^2) / (3 + g^2).
+With 1 + g^2 - 2 g mu = (1 - g y)^2, so that mu = y + g (1 - y^2) / 2, a cosine lies below mu with a probability whose
+derivative by g is -K(y), K(y) = (1 - y^2) (3 - 2 g y - g^2) / (4 (1 - g y)^3). Nothing cancels as g vanishes. K is
+greatest where the derivative of the density changes its sign, at mu = g (5 - g^2) / (3 + g^2).
 
 Derivation: ``docs/theory/media.md#lobes-of-a-phase-function``.
 """

@@ -1,4 +1,4 @@
-"""Light that is scattered evenly into all directions (Mitsuba's ``isotropic``): f_p = 1 / (4 pi)."""
+"""Isotropic scattering, evenly into all directions (Mitsuba's ``isotropic``): f_p = 1 / (4 pi)."""
 
 import warp as wp
 

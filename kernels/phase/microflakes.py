@@ -1,9 +1,9 @@
-"""Microflakes that may differ from place to place: S at a point of a medium, and where its adjoints go.
+"""The matrix S of microflakes at a point of a medium, constant or a grid, and the sinks for its adjoints.
 
-One S serves a medium, or S is a grid (``medium/volume.py``) of six channels, which are interpolated one by one: what
-lies between positive definite matrices is one, too. Extinction is then sigma_t A(x, d), which tracking follows. Its
-rate holds a bound on A: A itself where there is one S, and for a grid the largest of its voxels and all directions,
-sqrt(max lambda(S)), at the flat offset ``Texture.second``: A^2 is linear in S.
+One S serves a whole medium, or S is a grid (``medium/volume.py``) of six channels that are interpolated one by one:
+interpolation of positive definite matrices stays positive definite. Extinction is sigma_t A(x, d), which tracking
+follows. Its rate holds a bound on A: A itself if there is one S, and for a grid the largest A of its voxels and all
+directions, sqrt(max lambda(S)), at the flat offset ``Texture.second`` (A^2 is linear in S).
 
 Derivation: ``docs/theory/media.md#microflakes``.
 """

@@ -1,4 +1,4 @@
-"""Light that particles much smaller than its wavelength scatter (Mitsuba's ``rayleigh``).
+"""Rayleigh scattering by particles much smaller than the wavelength (Mitsuba's ``rayleigh``).
 
 With mu the cosine between the direction of flight and the new one, f_p = 3 (1 + mu^2) / (16 pi).
 """

@@ -1,13 +1,11 @@
 """Microflakes with the normals of an ellipsoid (Mitsuba's ``sggx``) [Heitz et al. 2015].
 
-A symmetric, positive definite S says how flakes are turned: towards w they have the projected area A(w) =
-sqrt(w^T S w) each, and their normals the density D(h) = 1 / (pi sqrt|S| (h^T S^-1 h)^2). Flakes are mirrors, so with h
-the half vector of -d and wo, f_p = D(h) / (4 A(d)), and a ray along d meets sigma_t A(d) of them a unit length. All of
-homogeneous media is computed with that number of flakes for a length: A(d) t (``flake_length``).
-
-S is six numbers, S_xx, S_yy, S_zz, S_xy, S_xz, S_yz; grids of them, and derivatives by S, have a file of their own
-(``microflakes.py``). Normals are drawn from those that are seen from -d: with S = L L^T
-L m has their density, normalised, if m is drawn about L^T (-d) by the cosine.
+A symmetric, positive definite matrix S describes the orientation of flakes. Towards w each has the projected area A(w)
+= sqrt(w^T S w), and their normals have the density D(h) = 1 / (pi sqrt|S| (h^T S^-1 h)^2). Flakes are mirrors, so with
+h the half vector of -d and wo, f_p = D(h) / (4 A(d)), and a ray along d meets sigma_t A(d) flakes a unit length.
+Homogeneous media therefore take A(d) t for the length t of a flight (``flake_length``). S is six numbers, S_xx, S_yy,
+S_zz, S_xy, S_xz, S_yz. Normals are drawn from those visible from -d: with S = L L^T, the normalised L m has their
+density if m is drawn about L^T (-d) by the cosine. ``microflakes.py`` has grids of S, and derivatives by S.
 
 Derivation: ``docs/theory/media.md#microflakes``.
 """

@@ -1,8 +1,8 @@
 """A phase function by a table of values over the cosine (Mitsuba's ``tabphase``).
 
-n values at equal distances h = 2 / (n - 1) from mu = -1 to mu = 1, mu the cosine between the direction of flight and
-the new one, with straight lines between them; f_p = v(mu) / (2 pi I), I the integral of v. The derivative by a value
-includes that of I. The table is the record of a texture of ``width`` n, whose ``second`` is the flat offset of its
+The n values lie at equal distances h = 2 / (n - 1) from mu = -1 to mu = 1, with straight lines between them. mu is the
+cosine between the direction of flight and the new one, and f_p = v(mu) / (2 pi I), I the integral of v. The derivative
+by a value includes that of I. The table is the record of a texture of ``width`` n; ``second`` is the flat offset of its
 integrals from -1 on, which follow edits of the values.
 """
 

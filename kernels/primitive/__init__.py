@@ -1,1 +1,1 @@
-"""Shapes without triangles: one kind a file, what affine kinds share, and a dispatch."""
+"""Shapes without triangles: one kind a file, the common part of affine kinds, and a dispatch."""

@@ -1,12 +1,11 @@
-"""Shapes that are a fixed surface under an affine map: x = A q + b, all twelve numbers of which are differentiable.
+"""Shapes that are a fixed surface under an affine map: x = A q + b, differentiable by all twelve numbers.
 
-With q(u, v) detached a path vertex rides on the shape as one on a triangle rides on its corners: x is linear in the
-pose, and the normal that carries the area element is c = cof(A) n(q), n that of the kind. So everything that is said
-of triangles in terms of x and c holds for these shapes, the geometric factor of a connection among it. Where a ray
-finds the vertex, q moves: A q' = r - d (c . r) / (c . d), r = o' + t d' - (A' q + b').
-
-The record of a shape stands behind those of the triangles, as a ``Triangle`` whose corners are the columns of A, whose
-normal is b, and whose ``i1`` is -1 - kind; ``i0`` is the flat offset of the pose, ``i2`` the sign of c against normals.
+With q(u, v) detached, a path vertex rides on the shape as a vertex on a triangle rides on its corners. x is linear in
+the pose, and the normal that carries the area element is c = cof(A) n(q), with the normal n of the kind. Every formula
+for triangles in terms of x and c therefore holds for these shapes, the geometric factor of a connection included. Where
+a ray finds the vertex, q moves: A q' = r - d (c . r) / (c . d), r = o' + t d' - (A' q + b'). The record of a shape
+follows those of the triangles, as a ``Triangle`` whose corners are the columns of A, whose normal is b, and whose
+``i1`` is -1 - kind; ``i0`` is the flat offset of the pose, ``i2`` the sign of c against normals.
 
 Derivation: ``docs/theory/implicit.md#material-form``.
 """

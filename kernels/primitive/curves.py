@@ -1,14 +1,11 @@
 """Curves with a radius: tubes about cubic B-splines, and cones between spheres.
 
-Behind the pose the flat values hold the ``HEADER``: a box around the curves, how many there are, the number of a tree,
-``wp.Bvh``, over boxes of pieces of segments, and where the CPU's tree lies (``curves_walk.py``). Then come the control
-points of the shape, (x, y, z, radius) each, the same in the world, with the same radii, and of each segment the number
-of its first control point.
-
-Surfaces are seen from outside alone, and rays that start inside leave unseen: what counts is where a ray enters.
-
-A vertex holds the segment, the place along it, and the angle around it, as fixed-point numbers in the bits of two
-(``sdfgrid.pack``).
+The flat values of the shape hold the pose, the ``HEADER``, the control points of the shape, (x, y, z, radius) each, the
+same in the world, with the same radii, and for each segment the number of its first control point. The header holds a
+box around the curves, their number, the number of a tree (``wp.Bvh``) over boxes of pieces of segments, and the offset
+of the CPU's tree (``curves_walk.py``). Surfaces are seen from outside alone, and rays that start inside leave unseen:
+only the point where a ray enters counts. A vertex holds the segment, the position along it, and the angle around it, as
+fixed-point numbers in the bits of two floats (``sdfgrid.pack``).
 
 Derivation: ``docs/theory/implicit.md#curves``.
 """

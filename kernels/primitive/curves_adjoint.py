@@ -1,13 +1,13 @@
-"""Where the adjoint of a point on curves goes: to the control points around it and to the pose.
+"""The sinks for the adjoint of a point on curves: the control points around it, and the pose.
 
-As on grids (``sdfgrid_adjoint.py``) vertices slide along the rays that found them, and what a ray that leaves a curve
-is tied to moves with the axis and across the surface (form S). With phi(x) = |x - c(v)| - r(v) the place v along the
-segment follows from x: that of the circle, or the sphere, on which x lies, still(x, v) = 0. So v turns with all that
-still depends on,
+Vertices slide along the rays that found them, as on grids (``sdfgrid_adjoint.py``). The start of a ray that leaves a
+curve moves with the axis and across the surface (form S, ``docs/theory/implicit.md#form-s``). With phi(x) = |x - c(v)|
+- r(v), the position v along the segment follows from x: x lies on the circle, or the sphere, of v, still(x, v) = 0. So
+v changes with everything on which still depends,
 
     v' = -(still_x x' + still_p p') / still_v,
 
-and texture coordinates, normals and radii turn with v. That is what tapered tubes need: phi' has a part -r' v'.
+and texture coordinates, normals and radii change with v. Tapered tubes need this: phi' has a part -r' v'.
 
 Derivation: ``docs/theory/implicit.md#curves``.
 """

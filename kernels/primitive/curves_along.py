@@ -1,9 +1,9 @@
-"""Where a ray that runs along a tube about a cubic enters it: parts of the piece, in order, and none is lost.
+"""The point where a ray that runs along a tube about a cubic enters it: parts are halved in order, and none is lost.
 
 Where d . c' is not zero, the plane of the circle at v cuts the ray t d at one point, x(v) = (z + m) d, with z = c . d,
-p = c - z d, m = p . p' / z'. It lies inside of the circle where F = |p|^2 + m^2 - r^2 is negative. In a part of the
-piece with the middle value F, slope g, half length h and the bound b of |F''|, F lies within |g| h + b h^2 / 2 of its
-middle value. If that is less than |F| it has one sign; if |g| > b h it is monotone. Other parts are halved.
+p = c - z d, m = p . p' / z'. The point is inside of the circle where F = |p|^2 + m^2 - r^2 is negative. In a part of
+the piece with the middle value F, slope g, half length h and the bound b of |F''|, F lies within |g| h + b h^2 / 2 of
+its middle value. If that is less than |F|, F has one sign; if |g| > b h, F is monotone. Other parts are halved.
 
 Derivation: ``docs/theory/implicit.md#curves``.
 """

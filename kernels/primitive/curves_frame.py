@@ -1,4 +1,4 @@
-"""The circle of a tube, or the sphere of a cone, at a place along a curve, and how phi = |x - c(v)| - r(v) bends there.
+"""The circle of a tube, or sphere of a cone, at a position along a curve, and the Hessian of phi = |x - c(v)| - r(v).
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 """

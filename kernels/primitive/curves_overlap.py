@@ -1,8 +1,8 @@
-"""Which curves run through each other, and which triangles through curves.
+"""Pairs of curves that run through each other, and triangles that run through curves.
 
-Every segment, or triangle, is compared with the pieces whose boxes meet its own. A piece is looked at as ``FINER``
-cones between spheres along its axis; those at the ends of curves count as well. Most pairs of pieces are told apart by
-their chords, from which a tube leaves by no more than ``Chord.reach``. Parts of one curve that are next to each other
+Every segment, or triangle, is compared with the pieces whose boxes meet its own. A piece is approximated by ``FINER``
+cones between spheres along its axis; those at the ends of curves count as well. Most pairs of pieces are separated by
+their chords, from which a tube departs by no more than ``Chord.reach``. Parts of one curve that are next to each other
 along it do not count.
 """
 

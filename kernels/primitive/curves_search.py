@@ -1,4 +1,4 @@
-"""Where a ray enters a tube about a cubic: by cones that touch it, circle by circle, to where their heights vanish.
+"""The point where a ray enters a tube about a cubic: cones touch the tube circle by circle, until their heights vanish.
 
 Derivation: ``docs/theory/implicit.md#curves``.
 """

@@ -1,8 +1,8 @@
 """On the CPU: the pieces of curves whose boxes a ray enters, nearest first, ``BATCH`` of them a call.
 
-They lie in a wide BVH (``bvh/wide.py``) whose triangles have two opposite corners of a piece's box each, so that a
-packet's boxes are tested at once. A call walks the tree anew from the last piece of the call before: there are few
-calls, since a ray mostly ends at one of the first pieces, and nothing of a walk is kept between them.
+The pieces lie in a wide BVH (``bvh/wide.py``) whose triangles have two opposite corners of a piece's box each, so that
+a packet's boxes are tested at once. A call walks the tree anew from the last piece of the call before. There are few
+calls, since a ray mostly ends at one of the first pieces, so no state of a walk is kept between them.
 """
 
 import warp as wp

@@ -1,4 +1,4 @@
-"""The open cylinder x^2 + y^2 = 1, 0 <= z <= 1, seen from both sides: what ``affine.py`` asks of a kind.
+"""The open cylinder x^2 + y^2 = 1, 0 <= z <= 1, seen from both sides: the functions of a kind for ``affine.py``.
 
 A point q is held as its azimuth and its height, in which area is uniform. Texture coordinates are Mitsuba's: (azimuth /
 2 pi, height).

@@ -1,4 +1,4 @@
-"""The unit disk in the plane z = 0, seen from both sides: what ``affine.py`` asks of a kind.
+"""The unit disk in the plane z = 0, seen from both sides: the functions of a kind for ``affine.py``.
 
 A point q is held as its x and y. Texture coordinates are Mitsuba's: (distance from the centre, azimuth / 2 pi).
 

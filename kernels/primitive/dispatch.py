@@ -1,9 +1,9 @@
-"""Shapes without triangles beside those with: what a scene's kinds add to ray queries, surfaces and adjoints.
+"""Shapes without triangles beside triangles: ray queries, surfaces and adjoints for the kinds that a scene holds.
 
-A number of a face that is at least the number of triangles names such a shape. Each function takes the one for
-triangles, and is that one where a scene holds no such shape, so nothing is compiled. Affine shapes are in ``kinds.py``.
-Grids (``sdfgrid.py``, ``sdfgrid_cubic.py``), networks (``network.py``) and curves (``curves.py``) are the other kinds:
-vertices on them slide along the rays that found them.
+A face number that is at least the number of triangles names such a shape. Each function takes its counterpart for
+triangles, and is that counterpart where a scene holds no such shape, so nothing is compiled. Affine shapes are in
+``kinds.py``. Grids (``sdfgrid.py``, ``sdfgrid_cubic.py``), networks (``network.py``) and curves (``curves.py``) are the
+other kinds; vertices on them slide along the rays that found them (``docs/theory/implicit.md#form-s``).
 """
 
 import functools

@@ -1,14 +1,12 @@
 """Signed distances by a network: the surface phi = 0 of a multi-layer perceptron in [0, 1]^3, in front of its pose.
 
-A layer is z = W a + bias; the activation, softplus or a sine, is applied to all but the last one's single number. The
-first takes q, and for each frequency k the sines and the cosines of 2^k pi q. Behind the pose the flat values hold a
-head, the layers, weights in rows and then the biases, the same packed for SIMD, and the cells: of each what follows
-from bounds (``warp_psdr/scene/network_bounds.py``), either its reach as on grids, or minus the greatest second
-derivative of phi in it along a unit vector.
-
-Head: cells along an axis, layers, frequencies, activation (0: softplus, 1: sine) and its beta or omega, where the
-packed weights and the cells start, the width of what comes in and of each layer. All sizes are read at run time, so
-that networks of all sizes run in one kernel.
+A layer is z = W a + bias. The activation, softplus or a sine, applies to all layers but the last, which is a single
+number. The first layer takes q, and for each frequency k the sines and cosines of 2^k pi q. The flat values hold the
+pose, a head, the layers (weights in rows, then biases), the same packed for SIMD, and the cells. A cell holds a number
+from bounds (``warp_psdr/scene/network_bounds.py``): its reach as on grids, or minus the greatest second derivative of
+phi in it along a unit vector. The head holds the cells along an axis, layers, frequencies, activation (0: softplus, 1:
+sine) and its beta or omega, the offsets of the packed weights and the cells, and the widths of the input and of each
+layer. All sizes are read at run time, so networks of all sizes run in one kernel.
 
 Derivation: ``docs/theory/implicit.md#networks``.
 """

@@ -1,9 +1,9 @@
-"""What a network is like next to a point: phi, its gradient and its Hessian.
+"""The second-order expansion of a network at a point: phi, its gradient and its Hessian.
 
-Phi is made in double precision: next to silhouettes it is far smaller than the rounding of float32 (``network.py``),
-and rays that move with them follow it down (``boundary/signed_distance/march.py``). The Hessian is the sum over all
-activations of how phi changes by what one gives, times its second derivative, times the square of the gradient of its
-argument: one sweep forwards with three rates, one back.
+Phi is computed in double precision: next to silhouettes it is far smaller than the rounding of float32
+(``network.py``), and moving rays follow it down (``boundary/signed_distance/march.py``). The Hessian is a sum over all
+activations: the change of phi by the activation's value, times its second derivative, times the square of the gradient
+of its argument. One sweep forwards with three rates and one back compute it.
 
 Derivation: ``docs/theory/signed_distances.md#networks``.
 """

@@ -1,7 +1,7 @@
-"""Where a network is zero on a line through a cell, in order and without losing one.
+"""The zeros of a network on a line through a cell, in order, without losing one.
 
-In a part of the line with the middle value f, slope g, half length h and the bound b of the cell's second derivatives
-phi lies within |g| h + b h^2 / 2 of f. If that is less than |f| it has one sign; if |g| > b h it is monotone, and the
+In a part of the line with the middle value f, slope g, half length h and the bound b of the cell's second derivatives,
+phi lies within |g| h + b h^2 / 2 of f. If that is less than |f|, phi has one sign. If |g| > b h, phi is monotone: the
 signs at its ends tell whether there is a root, which Newton's steps find inside of a bracket. Other parts are halved.
 
 Derivation: ``docs/theory/implicit.md#networks``.

@@ -1,8 +1,8 @@
-"""The C++ of which the functions of a network are put together; see ``network.py``.
+"""C++ source of the functions of a network; see ``network.py``.
 
-All loops that count are over blocks of $BLOCK numbers, which compilers turn into SIMD. A layer is a product with the
-packed weights, $BLOCK rows at a time, of the numbers that come in and of their rates along one direction. ``float(x)``
-is a macro in Warp's CPU compiler: write ``(float)x``.
+All loops that count are over blocks of $BLOCK numbers, which compilers turn into SIMD. A layer is a product of the
+packed weights, $BLOCK rows at a time, with the input numbers and their rates along one direction. ``float(x)`` is a
+macro in Warp's CPU compiler: write ``(float)x``.
 """
 
 # Rows of ``first`` are derivatives of the activation by its argument, of ``second`` the second ones times the rate.

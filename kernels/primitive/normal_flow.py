@@ -1,12 +1,12 @@
-"""Vertices that flow along continuous normals: how the area element and the normal of a place change [ZCM*24].
+"""Vertices that flow along continuous normals: the rates of the area element and of the normal [ZCM*24].
 
 With V = -phi' / |grad Phi| the speed by the values along the normal n, and the pose's own motion u, linear in the
-place, a vertex has the velocity V n + u. The normal c that carries the area element, of unit length, follows
+position, a vertex has the velocity V n + u. The normal c that carries the area element, of unit length, changes by
 
     c' = V div n n - grad_S V + u's part,        div n = tr (P H) / |grad Phi|,
 
-where u acts as an affine map does on a fixed surface (``affine.py``). [ZCM*24] have u = 0, V of all that moves, and J'
-= V div n for the length of c.
+where u acts as an affine map does on a fixed surface (``affine.py``). In [ZCM*24] u is 0, V comes from everything that
+moves, and J' = V div n is the rate of the length of c.
 
 Derivation: ``docs/theory/implicit.md#normal-flow``.
 """

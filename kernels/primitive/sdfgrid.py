@@ -1,11 +1,10 @@
-"""Signed distances on a grid: the surface phi = 0 of what tri-linear interpolation makes of values at nodes.
+"""Signed distances on a grid: the surface phi = 0 of the tri-linear interpolation of values at nodes.
 
-The nodes fill the corners of [0, 1]^3, in front of the pose ``to_world``. Behind the pose the flat values hold the
-``HEADER``, behind that the grid, x fastest, and then the ``reach`` of each voxel: how many voxels one has to go, along
-the axes or across, to one that the surface may pass; 0 in those; and a block of voxels that holds all of those. In one
-voxel phi is a cubic polynomial along a ray.
-
-A point q of [0, 1]^3 is held as two numbers, whose bits are fixed-point coordinates: 21 bits of x, 21 of y, 20 of z.
+The nodes fill the corners of [0, 1]^3, in front of the pose ``to_world``. The flat values hold the pose, the
+``HEADER``, the grid, x fastest, the ``reach`` of each voxel, and a block of voxels that contains the surface. The reach
+is the number of voxels, along the axes or across, to the nearest voxel that the surface may pass, and 0 in those. In
+one voxel phi is a cubic polynomial along a ray. A point q of [0, 1]^3 is held as two numbers, whose bits are
+fixed-point coordinates: 21 bits of x, 21 of y, 20 of z.
 
 Derivation: ``docs/theory/implicit.md#grids``.
 """

@@ -1,16 +1,16 @@
-"""Where the adjoint of a point on a grid of signed distances goes: to the values around it and to the pose.
+"""The sinks for the adjoint of a point on a grid of signed distances: the values around it, and the pose.
 
-A grid has no material points. A vertex slides along the ray o + t d that found it,
+A grid has no material points. A vertex slides along the ray o + t d that found it (form S),
 
     t' = -(Phi' + grad Phi . (o' + t d')) / (grad Phi . d),        x' = o' + t d' + t' d,
 
-and what a ray that leaves a grid is tied to moves with the pose and across the surface,
+and the start of a ray that leaves a grid moves with the pose and across the surface,
 
-    c' = A' q + b' - phi' grad Phi / |grad Phi|^2;
+    c' = A' q + b' - phi' grad Phi / |grad Phi|^2,
 
-it stays on the surface and depends on the place alone, not on how the place was found (form S). Phi' is the derivative
-of phi at a place that rests, by its values and its pose, phi' that by the values. The normal turns with where it is
-read, and with the values: what a value adds to a gradient is the gradient of its weight.
+which stays on the surface and depends on the position alone. Phi' is the derivative of phi at a position at rest, by
+values and pose, and phi' the one by the values. The normal turns with the position and with the values; a value adds
+the gradient of its weight to the gradient of phi.
 
 Derivation: ``docs/theory/implicit.md#form-s``.
 """

@@ -1,9 +1,9 @@
-"""Signed distances on a grid, smooth: the surface phi = 0 of the uniform cubic B-spline with the nodes' values.
+"""Signed distances on a smooth grid: the surface phi = 0 of the uniform cubic B-spline with the nodes' values.
 
-The pose, the ``Grid`` record and what a vertex holds are those of ``sdfgrid.py``. Behind the border a grid goes on with
-the values of its outermost nodes. phi has continuous second derivatives, and does not pass through the values: it
-smooths them. A voxel's piece of phi lies between the least and the greatest of its Bezier coefficients; the ``reach``
-of voxels whose coefficients have both signs is 0. Along a ray such a piece is a polynomial of degree 9.
+The pose, the ``Grid`` record and the contents of a vertex are those of ``sdfgrid.py``. Beyond the border, a grid
+continues with the values of its outermost nodes. phi has continuous second derivatives. It does not pass through the
+values, but smooths them. In a voxel, phi lies between the least and the greatest of its Bezier coefficients; the
+``reach`` of voxels whose coefficients have both signs is 0. Along a ray, phi in a voxel is a polynomial of degree 9.
 
 Derivation: ``docs/theory/implicit.md#cubic-grids``.
 """

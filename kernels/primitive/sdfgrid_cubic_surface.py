@@ -1,7 +1,7 @@
-"""The point of a smooth grid of signed distances that a vertex holds, its normal, and where adjoints of phi go.
+"""The point of a smooth grid of signed distances that a vertex holds, its normal, and the sinks for adjoints of phi.
 
 A vertex slides along the ray that found it, and a ray that leaves is tied to the surface, as on other grids (form S,
-``sdfgrid_adjoint.py``); the normal is the gradient's alone, and turns with the place by the Hessian.
+``sdfgrid_adjoint.py``). The normal is that of the gradient alone and turns with the position by the Hessian.
 
 Derivation: ``docs/theory/implicit.md#form-s``.
 """

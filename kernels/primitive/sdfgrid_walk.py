@@ -1,9 +1,9 @@
 """The first point of a ray on the surface of a grid of signed distances.
 
-The ray goes from voxel to voxel of a block that holds all of the surface, over all at once that its reach says are
-empty. It carries the sign that phi has where it starts, or enters the block, and a voxel is asked where that sign ends,
-not whether its own two ends differ: no crossing is lost between two voxels. Each step moves on along one axis, and none
-moves back along any, so there are fewer steps than nodes along the three axes.
+The ray goes from voxel to voxel of a block that contains the surface, and skips at once all voxels that the reach says
+are empty. It carries the sign that phi has where it starts or enters the block. Each voxel reports where that sign
+ends, and not whether its own two ends differ, so no crossing is lost between two voxels. Each step moves on along one
+axis, and none moves back, so there are fewer steps than nodes along the three axes.
 
 Derivation: ``docs/theory/implicit.md#grids``.
 """

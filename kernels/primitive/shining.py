@@ -1,8 +1,8 @@
-"""Points of exact shapes that shine: what ``emitter/area.py`` asks of a kind.
+"""Points of exact shapes that emit light: the functions of a kind for ``emitter/area.py``.
 
-They are in material form, (u, v) the numbers that a vertex holds: y = A q(u, v) + b. Seen from a point x they are drawn
-from what faces it (``visible.py``). Where no such point is known they are uniform in the area of the kind: with S, its
-area, and c = cof(A) n(q), the density per area in the world is 1 / (S |c|).
+Points are in material form, y = A q(u, v) + b with the numbers (u, v) that a vertex holds. They are drawn from the part
+that faces the lit point x (``visible.py``). Where no such point is known, they are uniform in the area of the kind:
+with that area S and c = cof(A) n(q), the density per area in the world is 1 / (S |c|).
 
 Derivation: ``docs/theory/implicit.md#emission``.
 """

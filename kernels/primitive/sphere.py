@@ -1,8 +1,8 @@
-"""The unit sphere: what ``affine.py`` asks of a kind, in the coordinates of the shape.
+"""The unit sphere: the functions of a kind for ``affine.py``, in the coordinates of the shape.
 
 A point q is held as two numbers in [-1, 1], its octahedral projection: the sphere is projected along rays onto |x| +
-|y| + |z| = 1, and the lower half of that is folded over the upper one. It has no pole, and float32 resolves it evenly.
-Texture coordinates are Mitsuba's: (azimuth / 2 pi, inclination from +z / pi).
+|y| + |z| = 1, and the lower half is folded over the upper one. The projection has no pole, and float32 resolves it
+evenly. Texture coordinates are Mitsuba's: (azimuth / 2 pi, inclination from +z / pi).
 
 Derivation: ``docs/theory/implicit.md#kinds``.
 """

@@ -1,6 +1,6 @@
-"""How the unit normal of a shape without triangles turns as a point moves over it: n' = (1 - n n^T) H x' / |grad phi|.
+"""The rate of the unit normal as a point moves over a shape without triangles: n' = (1 - n n^T) H x' / |grad phi|.
 
-The shape is at rest. What its own motion adds to that is in the adjoints of vertices (``dispatch.py``).
+The shape is at rest. The adjoints of vertices contain the part that the shape's own motion adds (``dispatch.py``).
 
 Derivation: ``docs/theory/specular.md#mirrors-and-glass-without-triangles``.
 """

@@ -1,10 +1,10 @@
-"""Points of exact shapes that shine, drawn from what faces a point x outside: a sphere's cap, a cylinder's arc.
+"""Points of exact shapes that emit light, drawn from what faces a point x outside: a sphere's cap, a cylinder's arc.
 
-All is in the coordinates of the kind, e = A^-1 (x - b), where the points that face x are those with q . e > 1, as they
-are in the world: affine maps keep tangent planes. On a sphere the density is a mixture of two in solid angle at e, both
-of which depend on s, the share of the cone of directions that is closer to its axis: the uniform one, and
-1 / (2 sqrt(1 - s)). The second bounds derivatives by the geometric factor over the density: the factor vanishes at the
-rim as sqrt(1 - s), and its derivative does not.
+All coordinates are those of the kind, e = A^-1 (x - b). The points that face x are those with q . e > 1, as in the
+world, because affine maps preserve tangent planes. On a sphere the density is a mixture of two in solid angle at e.
+Both depend on s, the share of the cone of directions that is closer to its axis: the uniform one, and 1 / (2 sqrt(1 -
+s)). The second bounds derivatives of the geometric factor over the density: the factor vanishes at the rim as sqrt(1 -
+s), and its derivative does not vanish.
 
 Derivation: ``docs/theory/implicit.md#emission``.
 """

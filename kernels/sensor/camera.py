@@ -1,8 +1,8 @@
 """Cameras: a ray through a film position, and the adjoint of that ray.
 
-Conventions of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``. Film position and lens point are fixed
-while the camera moves: the first vertex of a path slides over the surface. A ``radiancemeter`` is the orthographic ray
-of the film's centre. The rays of an ``irradiancemeter`` are ``meter.py``'s.
+The conventions are those of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``. Film position and lens point
+are fixed while the camera moves, so the first vertex of a path slides over the surface. A ``radiancemeter`` is the
+orthographic ray of the film's centre. ``meter.py`` has the rays of an ``irradiancemeter``.
 
 Derivation: ``docs/theory/cameras.md#camera-rays``.
 """

@@ -1,11 +1,10 @@
 """Pixel filters by importance sampling: a camera ray belongs to one pixel and is offset by the filter's own density.
 
 The filters are Mitsuba 3's: ``box`` (radius 1/2), ``tent`` and ``gaussian`` (cut at 4 standard deviations and lowered
-by its value there, so that it ends at 0). All are positive, even and separable; offsets are in pixels.
-M. Ernst, M. Stamminger, G. Greiner, "Filter Importance Sampling", IEEE Symposium on Interactive Ray Tracing 2006.
-
-What lies beyond the crop window counts for its pixels only if the film's ``sample_border`` is set. Else the filter h_j
-of a pixel j near the border ends there, and its weights are normalised by what is left, as Mitsuba's film does:
+by its value there, so that it ends at 0). All are positive, even and separable; offsets are in pixels [M. Ernst, M.
+Stamminger, G. Greiner, "Filter Importance Sampling", IEEE Symposium on Interactive Ray Tracing 2006]. Light beyond the
+crop window counts for its pixels only if the film's ``sample_border`` is set. Else the filter h_j of a pixel j near the
+border ends there, and its weights are normalised by the rest, as in Mitsuba's film:
 
     I_j = int_W h_j L / int_W h_j,      W the crop window.
 """

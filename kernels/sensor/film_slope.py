@@ -1,7 +1,8 @@
-"""How splats change as their place on the film moves: the slopes of pixel filters.
+"""The derivative of splats by their position on the film: the slopes of pixel filters.
 
 A point at u counts h_j(u) / share_j for pixel j (``projection.py``); the share depends on the pixel alone. Tents and
-Gaussians end at 0, so that their slopes are all there is; a box has none but jumps, which are in no kernel here.
+Gaussians end at 0, so their slopes are the whole derivative. A box has no slope, but jumps, which no kernel here
+estimates.
 
 Derivation: ``docs/theory/light_tracing.md#vertices-that-move``.
 """

@@ -1,9 +1,9 @@
-"""Bins of a transient film: what light of one path length counts for each of them [WCRZ21, YKC*21].
+"""Bins of a transient film: the weight of light of one path length in each of them [WCRZ21, YKC*21].
 
 Time is measured by optical path length ell in world units. A pulse p that leaves the light at 0 arrives spread around
-ell, and bin b, from e_b to e_{b+1}, receives the share w_b(ell) = P(e_{b+1} - ell) - P(e_b - ell), P the integral of p.
-A box pulse makes w_b a trapezoid, a tent if it is as wide as the bin. dw_b / dell = p(e_b - ell) - p(e_{b+1} - ell).
-The bins of a pixel lie side by side in a row of the image: it is (H, W T), vec3.
+ell. Bin b, from e_b to e_{b+1}, receives the share w_b(ell) = P(e_{b+1} - ell) - P(e_b - ell), with the integral P of
+p. A box pulse makes w_b a trapezoid, or a tent if it is as wide as the bin. dw_b / dell = p(e_b - ell) - p(e_{b+1} -
+ell). The bins of a pixel lie side by side in a row of the image, which has the shape (H, W T) and the type vec3.
 
 Derivation: ``docs/theory/transient.md#time-gates``.
 """

@@ -1,1 +1,1 @@
-"""Textures: what varies over a surface or with direction."""
+"""Textures: values that vary over a surface or with direction."""

@@ -1,11 +1,11 @@
-"""How a texture rises along its coordinates, and where the adjoint of that goes: for bump maps.
+"""The slope of a texture along its coordinates, and the sink for its adjoint, for bump maps.
 
-Of a bilinear bitmap with the footprint (fx, fy) between four texels, in texels of the transformed coordinates,
+A bilinear bitmap with the footprint (fx, fy) between four texels, in texels of the transformed coordinates, has
 
     dh/dx = (1 - fy) (t10 - t00) + fy (t11 - t01),    dh/dy = (1 - fx) (t01 - t00) + fx (t11 - t10).
 
-It is linear in the texels, and jumps at the lines between them: whatever slides such a texture is refused
-(``warp_psdr/plan/coverage.py``).
+The slope is linear in the texels, and jumps at the lines between them. Parameters that slide such a texture are
+therefore refused (``warp_psdr/plan/coverage.py``).
 """
 
 import functools

@@ -1,9 +1,9 @@
-"""The differential radiative transfer equation [ZWZ*19] of what moves, with boundary terms of its own, in both modes.
+"""The differential radiative transfer equation [ZWZ*19] for motions, with boundary terms of its own, in both modes.
 
-The derivative of radiance is transported by the same equation: a path is drawn as for an image, recorded and swept once
-(``transfer_sweep.py``). At the ends of its flights, where surfaces sweep the medium, and at each of its vertices, on
-surfaces and in the medium, for one edge that it sees, further paths are drawn (``transfer_sphere.py``). What moves
-nothing is differentiated as by path replay (``media_replay.py``), whose equation is the same.
+The derivative of radiance obeys the same equation: a path is drawn as for an image, recorded, and swept once
+(``transfer_sweep.py``). Further paths (``transfer_sphere.py``) are drawn at the ends of its flights, where surfaces
+sweep the medium, and at each of its vertices, on surfaces and in the medium, for one edge that the vertex sees. Path
+replay (``media_replay.py``) differentiates by everything that moves nothing; its equation is the same.
 
 Derivation: ``docs/theory/media.md#the-differential-equation``.
 """

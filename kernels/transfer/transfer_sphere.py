@@ -1,9 +1,9 @@
-"""What a point of a path gathers from the sphere of directions, for the differential radiative transfer equation.
+"""Integrals over the sphere of directions at a point of a path, for the differential radiative transfer equation.
 
-That is the in-scattering at a point of a medium, which a moving end of a flight adds or takes away, and the boundary of
-the sphere: an edge of the scene, and the jump of the radiance of whole rays across it [ZWZ*19, eq. 32]. The point on a
-chosen edge is drawn by the angle at which the vertex sees it, which leaves 1 / h of the element sin(phi) dl / t_1^2, h
-the distance of the vertex from the edge's line.
+One integral is the in-scattering at a point of a medium, which a moving end of a flight adds or removes. The other is
+the boundary of the sphere: an edge of the scene, and the jump of the radiance of whole rays across it [ZWZ*19, eq. 32].
+The point on a chosen edge is drawn by the angle at which the vertex sees it. This leaves 1 / h of the element sin(phi)
+dl / t_1^2, with the distance h of the vertex from the edge's line.
 
 Derivation: ``docs/theory/media.md#the-differential-equation``.
 """

@@ -1,8 +1,8 @@
-"""The sweep of the differential radiative transfer equation [ZWZ*19]: directions are fixed, and so are distances.
+"""The sweep of the differential radiative transfer equation [ZWZ*19], with directions and distances fixed in the world.
 
-Where a ray ends rides on the surface there, which it slides over; a point of a medium is at a fixed distance from where
-its ray starts; a new direction is fixed in the world. So all that a vertex hands back is the adjoint of its position,
-and the camera's ray alone has an adjoint of its direction. What enters besides are the in-scattering at both ends of a
+The end of a ray rides on the surface there and slides over it. A point of a medium lies at a fixed distance from the
+start of its ray, and a new direction is fixed in the world. A vertex therefore hands back the adjoint of its position
+alone; only the camera's ray has an adjoint of its direction. Two terms are added: the in-scattering at both ends of a
 flight, times the speeds of these ends, and an edge that the vertex sees (``transfer_sphere.py``).
 
 Derivation: ``docs/theory/media.md#the-differential-equation``.

@@ -1,6 +1,7 @@
 """Arguments of the drivers: what is out of range is named, in every entry point alike."""
 
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -8,6 +9,7 @@ import pytest
 import warp_psdr as psdr
 
 NAME, SKY = "card.bsdf.reflectance.value", "sky.radiance.value"
+IMAGE = {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 2}
 ENTRY_POINTS = ["render", "render_backward", "render_forward"]
 
 
@@ -148,9 +150,48 @@ def test_what_methods_have_in_common_is_none() -> None:
         psdr.boundary.Method()
 
 
-def test_scenes_are_not_copied(scene) -> None:
-    with pytest.raises(TypeError, match="neither be copied nor pickled"):
-        copy.deepcopy(scene)
+def test_copies_and_pickles_render_alike(scene) -> None:
+    """With the values, poses and requests of the original; an image, too."""
+    params = psdr.traverse(scene)
+    params.requires_grad_only(NAME)
+    before = params["card.to_world"].numpy().copy()
+    params["card.to_world"] = psdr.Transform.translate((0.25, 0.0, 0.0)).matrix @ before
+    image = psdr.render(scene, **IMAGE)
+    again, named, picture = pickle.loads(pickle.dumps((scene, params, image)))
+    assert named.scene is again and named.requested == [NAME]
+    np.testing.assert_array_equal(picture.numpy(), image.numpy())
+    for other in (again, copy.deepcopy(scene)):
+        np.testing.assert_array_equal(psdr.render(other, **IMAGE).numpy(), image.numpy())
+        moved = psdr.traverse(other)
+        np.testing.assert_array_equal(moved["card.to_world"].numpy(), params["card.to_world"].numpy())
+        moved["card.to_world"] = before
+    # Copies are scenes of their own.
+    np.testing.assert_array_equal(psdr.render(scene, **IMAGE).numpy(), image.numpy())
+    params["card.to_world"] = before
+    expected = psdr.render(scene, **IMAGE).numpy()
+    assert not np.array_equal(expected, image.numpy())
+    np.testing.assert_array_equal(psdr.render(other, **IMAGE).numpy(), expected)
+
+
+@pytest.mark.parametrize("how", ["assigned", "in place"])
+def test_edits_act_without_update(scene, how: str) -> None:
+    """Places as colours do."""
+    params = psdr.traverse(scene)
+    values = params["card.vertex_positions"].numpy() + np.float32([0.5, 0.0, 0.0])
+    if how == "assigned":
+        params["card.vertex_positions"] = values
+    else:
+        params["card.vertex_positions"].assign(values)
+    found = psdr.render(scene, **IMAGE).numpy()
+    params.update()
+    np.testing.assert_array_equal(psdr.render(scene, **IMAGE).numpy(), found)
+    params["card.vertex_positions"] = values - np.float32([0.5, 0.0, 0.0])
+    assert not np.array_equal(psdr.render(scene, **IMAGE).numpy(), found)
+
+
+def test_what_is_no_parameters_is_named(scene) -> None:
+    with pytest.raises(TypeError, match=r"params: got int, expected what psdr\.traverse\(scene\) returns"):
+        psdr.render(scene, 16)
 
 
 @pytest.mark.parametrize("ratio", [-1.0, np.nan, np.inf])

@@ -1,5 +1,10 @@
 """Worker threads: equal bits for any number of them; random numbers: what is decorrelated from what."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -10,6 +15,7 @@ from warp_psdr import workers
 NAMES = ("floor.vertex_color", "ceiling.to_world", "floor.vertex_positions", "ceiling.emitter.radiance.data")
 INTEGRATOR = measure.integrator(4)
 SIZE = 40
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(autouse=True)
@@ -143,3 +149,31 @@ def test_progress_reaches_one(gap):
     psdr.render(scene, integrator=INTEGRATOR, spp=1, progress=seen.append)
     assert seen and max(seen) == pytest.approx(1.0)
     assert all(0.0 < s <= 1.0 for s in seen)
+
+
+#: A program that renders, forks, and renders in the child: a scene that it has, and one that it loads.
+FORKS = """
+import os
+import warp_psdr as psdr
+node = {"type": "scene", "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
+        "camera": {"type": "perspective", "to_world": psdr.Transform.look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
+                   "film": {"type": "hdrfilm", "width": 16, "height": 16}},
+        "integrator": {"type": "path", "max_depth": 1}}
+psdr.set_workers(2)
+scene = psdr.load_dict(node)
+before = psdr.render(scene, spp=1).numpy()
+child = os.fork()
+if child == 0:
+    same = (psdr.render(scene, spp=1).numpy() == before).all()
+    new = (psdr.render(psdr.load_dict(node), spp=1).numpy() == before).all()
+    os._exit(0 if same and new else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), float(before.max()))
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_forked_process_renders() -> None:
+    """Its threads are its own: those of the pool that it inherits do not exist."""
+    done = subprocess.run([sys.executable, "-c", FORKS], cwd=ROOT, capture_output=True, text=True, timeout=120)
+    status, brightest = done.stdout.split()
+    assert (status, float(brightest)) == ("0", pytest.approx(3.0)), done.stderr[-2000:]

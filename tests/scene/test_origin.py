@@ -49,6 +49,12 @@ def image(loaded, sensor: int = 0) -> np.ndarray:
     return psdr.render(loaded, sensor=sensor, spp=4, integrator=psdr.PathIntegrator(max_depth=3)).numpy()
 
 
+def held(loaded) -> np.ndarray:
+    """Return all values on the device but the pose of the mesh, which has none where its coordinates are far away."""
+    parameters = [p for name, p in loaded.parameters.items() if name != "mesh.to_world"]
+    return np.concatenate([loaded.values[p.offset : p.offset + p.size].numpy() for p in parameters])
+
+
 @pytest.fixture(scope="module")
 def pair():
     return psdr.load_dict(scene((0.0, 0.0, 0.0))), psdr.load_dict(scene(PLACE))
@@ -67,13 +73,14 @@ def test_a_scene_that_is_near_has_no_origin_and_no_second_array(pair) -> None:
 @pytest.mark.parametrize("sensor", range(3))
 def test_far_away_the_device_holds_the_same_bits(pair, sensor: int) -> None:
     near, far = pair
-    np.testing.assert_array_equal(near.values.numpy(), far.values.numpy())
+    np.testing.assert_array_equal(held(near), held(far))
     np.testing.assert_array_equal(image(near, sensor), image(far, sensor))
 
 
 def test_parameters_are_in_world_coordinates(pair) -> None:
     near, far = (psdr.traverse(s) for s in pair)
-    for name in near:
+    assert set(near) - set(far) == {"mesh.to_world"}
+    for name in far:
         a, b = near[name].numpy(), far[name].numpy()
         place = shift_of(b.shape, PLACE).reshape(b.shape) if name in PLACED else 0.0
         if name.endswith("vertex_positions"):
@@ -107,7 +114,7 @@ def test_an_edit_has_the_effect_that_it_has_nearby(name: str, how: str) -> None:
             params[name] = values.astype(how)
             params.update()
         np.testing.assert_array_equal(params[name].numpy(), values.astype(np.float32))
-    np.testing.assert_array_equal(near.values.numpy(), far.values.numpy())
+    np.testing.assert_array_equal(held(near), held(far))
     if name in ("ball.to_world", "disk.to_world"):
         shape = name.split(".")[0]
         a, b = (psdr.traverse(s)[f"{shape}.vertex_positions"].numpy() for s in (near, far))

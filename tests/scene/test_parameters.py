@@ -348,6 +348,8 @@ def test_a_scene_that_could_not_follow_is_not_rendered(loaded):
     with pytest.raises(ValueError, match="lower its learning rate"):
         params.update("floor.vertex_positions")
     with pytest.raises(ValueError, match=r"could not follow 'floor\.vertex_positions'"):
+        scene.data()
+    with pytest.raises(ValueError, match="lower its learning rate"):
         image(scene)
     with pytest.raises(ValueError, match="lower its learning rate"):  # what failed is not forgotten
         params.update(ALBEDO)

@@ -8,11 +8,12 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.poses import Poses
 from warp_psdr.scene.scene import Scene
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=3)
 STEPS = {
-    "pose": (Scene, "_pose"),
+    "pose": (Poses, "apply"),
     "normals": (Scene, "normal_sums"),
     "triangles": (Scene, "_update_triangles"),
     "bounds": (Scene, "_update_bounds"),

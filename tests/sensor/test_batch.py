@@ -145,7 +145,82 @@ def test_what_cannot_be_is_named(changes, words):
         describe_dict(parts({"other": cameras()["long"], "rig": rig}))
 
 
+@pytest.fixture(scope="module")
+def stacked():
+    """The cameras of the batch under a box filter, and one of another size."""
+    sampler = {"type": "independent", "sample_count": 8}
+    box = {name: {**camera, "film": film(12, "box"), "sampler": sampler} for name, camera in cameras().items()}
+    return psdr.load_dict(parts({**box, "small": {**box["wide"], "film": film(8, "box")}}))
+
+
+def test_a_list_of_sensors_is_a_stack_and_the_sum_of_gradients(stacked):
+    each = [psdr.render(stacked, sensor=name, integrator=ONE, seed=3).numpy() for name in ("long", "wide")]
+    image = psdr.render(stacked, sensor=["long", 0], integrator=ONE, seed=3)
+    assert image.shape == (2, HEIGHT, 12) and image._repr_png_()[:4] == b"\x89PNG"
+    np.testing.assert_array_equal(image.numpy(), np.stack(each))
+    params = psdr.traverse(stacked)
+    params.requires_grad_only("cube.bsdf.reflectance.value")
+    adjoint = np.random.default_rng(0).random((2, HEIGHT, 12, 3)).astype(np.float32)
+    gradients = []
+    for calls in ([(["long", "wide"], adjoint)], [("long", adjoint[0]), ("wide", adjoint[1])]):
+        params.zero_grad()
+        for sensor, part in calls:
+            psdr.render_backward(stacked, params, part, sensor=sensor, integrator=ONE, seed=3)
+        gradients.append(params["cube.bsdf.reflectance.value"].grad.numpy().copy())
+    assert gradients[0].any()
+    np.testing.assert_array_equal(*gradients)
+
+
+def test_budgets_and_reports_of_several_sensors_are_of_the_whole(stacked):
+    """The gradient within an error, its report, the plan of each, second moments, an image within a time."""
+    several = {"sensor": ["wide", "long"], "integrator": ONE}
+    params = psdr.traverse(stacked)
+    name = "cube.bsdf.reflectance.value"
+    params.requires_grad_only(name)
+    adjoint = np.ones((2, HEIGHT, 12, 3), np.float32)
+    params.zero_grad()
+    psdr.render_backward(stacked, params, adjoint, spp=256, **several)
+    expected = params[name].grad.numpy().copy()
+    report = psdr.accuracy(stacked, params, adjoint, spp=4, seconds=0.05, **several)
+    pixels = 2 * HEIGHT * 12
+    assert [(term.name, term.samples) for term in report.terms] == [("interior", 4 * pixels)]
+    assert abs(np.sqrt(report.norm2[name]) - np.abs(expected).sum()) < 0.1 * np.abs(expected).sum()
+    params.zero_grad()
+    reached = psdr.render_backward(stacked, params, adjoint, target_error=0.02, report=report, seed=1, **several)
+    assert reached.error <= 0.03
+    np.testing.assert_allclose(params[name].grad.numpy(), expected, rtol=0.1)  # five times the error, and more
+    image = psdr.render(stacked, spp=256, **several).numpy()
+    within = psdr.render(stacked, target_error=0.01, seed=1, **several).numpy()
+    assert np.linalg.norm(within - image) < 0.05 * np.linalg.norm(image)
+    derivative = psdr.render_forward(stacked, params, {name: 1.0}, target_error=0.02, **several).numpy()
+    assert abs(derivative.sum() - expected.sum()) < 0.1 * abs(expected.sum())
+    first, squares = psdr.render_moment(stacked, spp=4, **several)
+    assert first.shape == squares.shape == (2, HEIGHT, 12) and (squares.numpy() >= first.numpy() ** 2 - 1e-4).all()
+    plans = psdr.plan(stacked, params, **several)
+    assert list(plans) == ["wide", "long"] and "interior" in str(plans) and "wide, long" in plans._repr_html_()
+    assert psdr.compile(stacked, params, **several).compiled == ()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "words"),
+    [
+        ([], "empty list"),
+        (["wide", 0], "names a sensor twice"),
+        (["wide", "small"], "one size.*'wide' 12 x 16, 'small' 8 x 16"),
+        (["wide", "none"], "sensor 'none': the scene has sensors 0 to 2"),
+    ],
+)
+def test_a_list_that_is_no_stack_is_named(stacked, sensor, words):
+    with pytest.raises(ValueError, match=words):
+        psdr.render(stacked, sensor=sensor, integrator=ONE, spp=1)
+
+
 def test_who_takes_one_sensor_names_those_of_the_batch(together):
-    for call in (psdr.plan, psdr.compile, psdr.render_moment, lambda s: psdr.render(s, time_budget=1.0)):
-        with pytest.raises(ValueError, match=r"'rig' is a 'batch'.*give one of.*'rig.wide', 'rig.long'"):
-            call(together)
+    calls = (
+        lambda: psdr.trace_sample(together, pixel=(0, 0), sample=0),
+        lambda: psdr.render(together, sensor=["rig"]),
+        lambda: psdr.render_parts(together, psdr.traverse(together), {"lamp.position": 1.0}),
+    )
+    for call in calls:
+        with pytest.raises(ValueError, match=r"'rig' is a 'batch'.*give its sensors.*'rig.wide', 'rig.long'"):
+            call()

@@ -1,7 +1,8 @@
-"""Accuracy and its price: what a wanted accuracy costs, measured by a short pilot, and budgets that are spent by it.
+"""Accuracy and its cost: a short pilot predicts what a wanted accuracy costs, and budgets spend samples accordingly.
 
-``quantity`` says what is estimated as a sum of terms, ``tiles`` where on the image samples are spent, ``statistics``
-how variances are estimated, ``pilot`` measures, ``report`` predicts, ``allocation`` splits, ``budget`` spends.
+``quantity`` defines what is estimated as a sum of terms, ``tiles`` where on the image samples are spent, and
+``statistics`` how variances are estimated. ``pilot`` measures, ``report`` predicts, ``allocation`` splits a budget over
+terms, and ``budget`` spends it.
 """
 
 from warp_psdr.accuracy.allocation import Allocation

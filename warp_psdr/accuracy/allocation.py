@@ -1,11 +1,11 @@
-"""How a budget is split over terms.
+"""The split of a budget over terms.
 
-Term k costs C_k seconds a batch and has the relative variance U_k a batch; n_k batches of each term have the squared
-error sum_k U_k / n_k and take sum_k n_k C_k seconds. At a given time the error is least for n_k ~ sqrt(U_k / C_k)
-(Lagrange), and then error^2 * time = (sum_k sqrt(U_k C_k))^2. Every term gets at least a batch for each of the two
-halves of a run (``budget.py``), so where that binds, the others share what is left. A term that the pilot's batches
-have hardly met is not known to be small, so each gets ``FLOOR`` of what the best split takes, too; K terms lose at most
-the share K * FLOOR of the time by it.
+A batch of term k costs C_k seconds and has the relative variance U_k. n_k batches of each term have the squared error
+sum_k U_k / n_k and take sum_k n_k C_k seconds. At a given time the error is least for n_k ~ sqrt(U_k / C_k) (Lagrange),
+and then error^2 * time = (sum_k sqrt(U_k C_k))^2. Every term gets at least one batch for each of the two halves of a
+run (``budget.py``); if this binds, the others share the rest. A term that the pilot's batches have hardly met is not
+known to be small, so each term also gets at least ``FLOOR`` of the best split's time. K terms lose at most the share K
+* FLOOR of the time by it.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
-"""Bias: what a method leaves out by design, in words, and measured where another method does not leave it out.
+"""The bias of a method: what it leaves out by design, in words, and measured where another method includes it.
 
 Textbook replay and a gradient without its boundary term have an unbiased *twin*: the same request with ``Replay()`` and
 with the boundary term. The bias b is the mean of the difference D of both,
 
-    D = interior term of the twin - interior term (textbook replay only) + the twin's boundary terms (if left out),
+    D = interior term of the twin - interior term (textbook replay only) + the twin's boundary terms (if left out).
 
-the two interior terms with equal random numbers, of which little noise is left. As for the gradient g, |b|^2 is the
-squared mean of batches of D less the variance of that mean (``statistics.py``), and is told relative to |g|^2, the norm
-that all errors of the report are relative to; with several parameters, the mean of these ratios. More samples bring the
-relative error to the square root of that and no further.
+The two interior terms use equal random numbers, which cancels most noise. As for the gradient g, |b|^2 is the squared
+mean of batches of D less the variance of that mean (``statistics.py``). It is reported relative to |g|^2, as all errors
+of the report are; with several parameters, it is the mean of these ratios. More samples reduce the relative error to
+the square root of that number and no further.
 """
 
 from __future__ import annotations

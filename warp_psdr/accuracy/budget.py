@@ -1,7 +1,7 @@
 """Budgets: spend samples until a relative error is reached, or for a time, without bias.
 
-A pilot (``pilot.py``) fixes the batches and is thrown away. Towards a target error two halves decide each other's
-number of batches; within a time, rounds of equal batches run until it is over. Neither rule prefers an outcome.
+A pilot (``pilot.py``) fixes the batches and is thrown away. For a target error, two halves of the run decide each
+other's number of batches. For a time, rounds of equal batches run until it is over. Neither rule prefers an outcome.
 
 Derivation: ``docs/theory/accuracy.md#budgets-without-bias``.
 """

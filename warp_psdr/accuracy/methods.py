@@ -1,4 +1,4 @@
-"""Methods of the interior term side by side on one derivative: what each takes to an accuracy."""
+"""Comparison of methods of the interior term on one derivative: the time that each takes to an accuracy."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from warp_psdr.invalid import warns
 from warp_psdr.options import interior
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.scene.description import Sensor
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -78,7 +79,7 @@ def compare(
     tangents: dict | None = None,
     methods: Sequence[interior.Method] | None = None,
     integrator: Integrator | None = None,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     seed: int = 0,
     seconds: float = 4.0,
     clock: str = "wall",
@@ -96,7 +97,7 @@ def compare(
         methods: of ``psdr.interior``; default: ``Replay()``, ``Resampled()``, ``Antithetic()``,
             ``Attached(...)``, ``DifferentialRatioTracking()``.
         integrator: as of ``render``; default: what the scene file names. Its own method of the interior is not used.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         seed: of the pilots.
         seconds: what the pilot of a method may take.
         clock: "wall", or "cpu" for the processor time of all threads.
@@ -113,12 +114,12 @@ def compare(
         raise ValueError("compare takes an adjoint (of a gradient), or tangents (of a derivative image)")
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     base = dataclasses.replace(integrator_of(scene, integrator), boundary=None)
-    sensor = scene.description.camera_number(sensor)
+    views = scene.description.views(sensor)
     able, refused = {}, []
     for method in METHODS if methods is None else methods:
         chosen = dataclasses.replace(base, interior=method)
         try:
-            able[method] = select(scene, params, adjoint, tangents, integrator=chosen, sensor=sensor)
+            able[method] = select(scene, params, adjoint, tangents, integrator=chosen, views=views)
         except ValueError as reason:
             if methods is None and isinstance(method, interior.Replay):
                 raise  # what replay does not do is no question of the method

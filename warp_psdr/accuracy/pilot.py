@@ -1,7 +1,7 @@
 """The pilot: a short run that measures what a batch of every term costs and how uncertain it is.
 
-Every term runs once untimed, then twice to tell fixed from marginal cost; rounds of one batch of every term follow
-until the prediction is certain or the pilot's time is over. It is no function of the seed alone.
+Every term runs once untimed, then twice to separate fixed from marginal cost. Rounds of one batch of every term follow
+until the prediction is certain or the pilot's time is over. The result depends on the clock, not on the seed alone.
 
 Derivation: ``docs/theory/accuracy.md#the-pilot``.
 """
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.accuracy import bias
-from warp_psdr.accuracy import quantity as quantities
+from warp_psdr.accuracy import bias, quantity
 from warp_psdr.accuracy.allocation import efficiency
 from warp_psdr.accuracy.quantity import Part, Quantity
 from warp_psdr.accuracy.report import Report, TermReport, positive
@@ -24,14 +23,17 @@ from warp_psdr.accuracy.rounds import AIM_ROUNDS, LARGER, Known, Rounds, typical
 from warp_psdr.accuracy.statistics import Moments, moments, relative_variance
 from warp_psdr.accuracy.tiles import BATCHES as TILE_BATCHES
 from warp_psdr.accuracy.tiles import Tiling, measured, spread, uniform
+from warp_psdr.accuracy.views import gradient, together
 from warp_psdr.estimate.arguments import checked_seed, samples
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
+    from warp_psdr.scene.description import Views
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
@@ -66,7 +68,7 @@ def accuracy(
     *,
     tangents: dict | None = None,
     integrator: Integrator | None = None,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     spp: int | None = None,
     seed: int = 0,
     seconds: float = 4.0,
@@ -87,7 +89,8 @@ def accuracy(
         tangents: as ``render_forward`` takes them: accuracy of the derivative image. Neither: accuracy of the image.
         integrator: as of ``render``; default: what the scene file names. Sample counts of its boundary method are not
             used.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list. Samples of
+            several are spread evenly over their images.
         spp: samples a pixel of a batch, of every term; default: chosen by the costs.
         seed: of the pilot.
         seconds: what the pilot may take; more where four batches a term need it, and up to four times as much where
@@ -108,10 +111,10 @@ def accuracy(
     if adjoint is not None and tangents is not None:
         raise ValueError("accuracy takes an adjoint (of a gradient) or tangents (of a derivative image), not both")
     integrator = integrator_of(scene, integrator)
-    sensor = scene.description.camera_number(sensor)
-    what = select(scene, params, adjoint, tangents, integrator=integrator, sensor=sensor)
+    views = scene.description.views(sensor)
+    what = select(scene, params, adjoint, tangents, integrator=integrator, views=views)
     other = bias.unbiased(integrator, what)
-    twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, sensor=sensor)
+    twin = None if other is None else select(scene, params, adjoint, tangents, integrator=other, views=views)
     seed, seconds = checked_seed(seed), positive("seconds", seconds)
     spp = None if spp is None else samples("spp", spp)
     return run(
@@ -119,19 +122,19 @@ def accuracy(
     )
 
 
-def select(scene: Scene, params, adjoint, tangents, *, integrator, sensor: int) -> Quantity:
+def select(scene: Scene, params, adjoint, tangents, *, integrator, views: Views) -> Quantity:
     """Return what is to be estimated.
 
     Raises:
         ValueError: parameters are missing.
     """
     if adjoint is None and tangents is None:
-        return quantities.image(scene, integrator=integrator, sensor=sensor)
+        return together(views, lambda n: quantity.image(scene, integrator=integrator, sensor=n))
     if params is None:
         raise ValueError("params: needed with an adjoint or tangents; params = psdr.traverse(scene)")
     if tangents is not None:
-        return quantities.derivative(scene, params, tangents, integrator=integrator, sensor=sensor)
-    return quantities.gradient(scene, params, adjoint, integrator=integrator, sensor=sensor)
+        return together(views, lambda n: quantity.derivative(scene, params, tangents, integrator=integrator, sensor=n))
+    return gradient(scene, views, params, adjoint, integrator=integrator)
 
 
 def run(
@@ -164,10 +167,10 @@ def run(
     start = now()
     building = [_building(part, now) if setup else 0.0 for part in what.parts]
     sizes, least = ([spp] * len(what.parts), []) if spp is not None else _sizes(what, seconds, now, warm)
-    found_tiles = _tiles(what, sizes[0], seed, seconds, now) if tiles else None
+    found_tiles = _tiles(what, sizes[0], seed, seconds, now) if tiles and not what.each else None
     side, deviations = found_tiles or (0, ())
-    tiling = spread(what, side, deviations) if side else uniform(what)
-    what = what.tiled(tiling)
+    tilings = [spread(what, side, deviations) if side else uniform(q) for q in what.each or (what,)]
+    what = what if what.each else what.tiled(tilings[0])
     if spp is None:
         sizes = _balanced(what, sizes, least, mix_seed(seed, STREAM_FIRST), seconds, now)
 
@@ -191,7 +194,7 @@ def run(
         )
     names = list(what.blocks)
     terms = tuple(
-        _term(what, k, sizes[k], building[k], rounds.times[1][k], known, names, tiling) for k in range(len(what.parts))
+        _term(what, k, sizes[k], building[k], rounds.times[1][k], known, names, tilings) for k in range(len(what.parts))
     )
     squared = None
     if twin is not None:
@@ -324,13 +327,14 @@ def _term(
     other_times: list[float],
     known: Known,
     names: list[str],
-    tiling: Tiling,
+    tilings: list[Tiling],
 ) -> TermReport:
-    camera, found = what.scene.camera(what.sensor), known.found
-    pixels = camera.crop_width * camera.crop_height
+    found = known.found
+    cameras = [what.scene.camera(q.sensor) for q in what.each or (what,)]
+    pixels = sum(camera.crop_width * camera.crop_height for camera in cameras)
     counts = [n * pixels for n in (spp, LARGER * spp)]
     if k == 0:
-        counts = [tiling.samples(n) for n in (spp, LARGER * spp)]
+        counts = [sum(tiling.samples(n) for tiling in tilings) for n in (spp, LARGER * spp)]
     seconds, (other, _error) = float(known.cost[k]), typical(other_times)
     marginal = max((seconds - other) / (counts[0] - counts[1]), 0.0) if counts[0] != counts[1] else 0.0
     if marginal == 0.0 or marginal * counts[0] > seconds:

@@ -1,4 +1,4 @@
-"""What is estimated: an image, a derivative image or a gradient, as a sum of terms that run one by one.
+"""The estimated quantity: an image, a derivative image or a gradient, as a sum of terms that run one by one.
 
 A *batch* of a term is one run of it with a number of samples and a seed of its own: an independent, unbiased estimate.
 The means of batches of all terms add up to the quantity; so do their variances.
@@ -31,6 +31,7 @@ from warp_psdr.estimate.passes import (
     splats,
     splatted,
 )
+from warp_psdr.estimate.views import whole
 from warp_psdr.kernels.medium.coefficients import SCALE, SIGMA_T
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator, PathIntegrator
@@ -40,11 +41,12 @@ from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.light import refuse_connected
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.plan import Plan, decide
-from warp_psdr.plan.transient import require_steady
+from warp_psdr.plan.transient import require_steady, shape_of
 from warp_psdr.scene.layout import MEDIUM
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
+    from warp_psdr.scene.description import Views
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
@@ -90,6 +92,9 @@ class Quantity:
         over_pixels: (samples a pixel, seed, tiling) -> a batch of the first part.
         finish: raw batch, or a mean of raw batches -> components; an image under a filter that reaches beyond its pixel
             is a quotient.
+        raw: numbers of a raw batch; None: those of the components.
+        views: of several sensors in one call (``accuracy/views.py``); None: one sensor.
+        each: what it is of each of them.
     """
 
     scene: Scene
@@ -101,10 +106,27 @@ class Quantity:
     over_pixels: Callable[[int, int, Tiling], np.ndarray]
     adjoint: np.ndarray | None = None
     finish: Callable[[np.ndarray], np.ndarray] | None = None
+    raw: int | None = None
+    views: Views | None = None
+    each: tuple[Quantity, ...] = ()
+
+    @property
+    def raw_size(self) -> int:
+        """Numbers of a raw batch."""
+        return max(block.stop for block in self.blocks.values()) if self.raw is None else self.raw
 
     def finished(self, raw: np.ndarray) -> np.ndarray:
         """Return the components of a batch."""
         return raw if self.finish is None else self.finish(raw)
+
+    def pixels(self, components: np.ndarray) -> np.ndarray:
+        """Return the components of an image as (H, W, 3), or (B, H, W, 3) of a list of sensors."""
+        if self.views is not None:
+            ends = np.cumsum([q.blocks[IMAGE].stop for q in self.each])
+            parts = np.split(components, ends[:-1])
+            return whole(self.views, [q.pixels(part) for q, part in zip(self.each, parts, strict=True)])
+        camera = self.scene.camera(self.sensor)
+        return components.reshape(camera.crop_height, camera.crop_width, 3)
 
     @property
     def raster(self) -> tuple[int, int, int]:
@@ -158,6 +180,7 @@ def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quanti
     found = Quantity(
         scene, plan, "primal", sensor, (), {IMAGE: slice(0, 3 * shape[0] * shape[1])}, over_pixels,
         finish=None if box else quotient,
+        raw=None if box else film_size + (3 * film_size // 4 if light.traces(plan) else 0),
     )  # fmt: skip
     return _with(found, IMAGE, _light_parts(plan, light_batch))
 
@@ -216,7 +239,7 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
     integrator = integrator_of(scene, integrator)
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
     refuse_connected(plan, BUDGETS)
-    array = adjoint_array(adjoint, scene, sensor)
+    array = adjoint_array(adjoint, shape_of(scene, sensor), scene.device)
     records = [scene.parameters[name] for name in names]
     ends = np.cumsum([0, *(p.size for p in records)]).tolist()
     blocks = {name: slice(a, b) for name, a, b in zip(names, ends[:-1], ends[1:], strict=True)}

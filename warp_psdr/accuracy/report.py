@@ -1,11 +1,10 @@
-"""What a pilot found, and what follows from it: the time to an error, the error in a time, the best split.
+"""The report of a pilot and its predictions: the time to an error, the error in a time, the best split.
 
-Everything rests on batches (``quantity.py``): runs of the size that the pilot chose and that a budget spends. Errors
-are
-relative: the root mean square over the requested parameters of |error of the gradient| / |gradient|; of an image or a
-derivative image, the error's norm over that of the image. A prediction is for the mean of independent batches, whose
-squared error falls exactly as one over their number. ``TermReport.exponent`` says whether more samples in one batch
-would do better than more batches (stratified samples: above 1).
+Predictions rest on batches (``quantity.py``), runs of the size that the pilot chose and that a budget spends. Errors
+are relative: for gradients the root mean square over the requested parameters of |error of the gradient| / |gradient|;
+for images and derivative images the norm of the error over that of the image. A prediction is for the mean of
+independent batches, whose squared error falls exactly as one over their number. ``TermReport.exponent`` says whether
+more samples in one batch do better than more batches (stratified samples: above 1).
 """
 
 from __future__ import annotations

@@ -1,13 +1,11 @@
-"""A pilot's rounds: batches of every term, of two sizes, until enough is known of their costs and variances.
+"""The rounds of a pilot: batches of every term, of two sizes, until their costs and variances are known well enough.
 
-A round is a batch of every term, with a seed of its own. Some also run a batch ``LARGER`` times as large, whose
-time and variance give the marginal cost and the exponent a of a variance that falls as samples^-a. Where a differs from
-one by more than its error, budgets will run such batches, and every round has one.
-
-The logarithm of a predicted time, log (sum_k sqrt(U_k C_k))^2 for costs C_k and relative variances U_k, changes by
-s_k = sqrt(U_k C_k) / sum_j sqrt(U_j C_j) times that of U_k or C_k. The scatter of U (and of the norms in it) is the
-jackknife's, of all terms at once, and no less than that of normal batches; what is uncertain in C_k and in the
-exponents comes on top.
+A round is a batch of every term, with a seed of its own. Some rounds also run a batch ``LARGER`` times as large, whose
+time and variance give the marginal cost and the exponent a of a variance that falls as samples^-a. If a differs from
+one by more than its error, budgets will run such batches, and every round has one. The logarithm of a predicted time,
+log (sum_k sqrt(U_k C_k))^2 for costs C_k and relative variances U_k, changes by s_k = sqrt(U_k C_k) / sum_j sqrt(U_j
+C_j) times the change of log U_k or log C_k. The jackknife gives the scatter of U (and of the norms in it) for all terms
+at once, bounded below by that of normal batches; the uncertainty of C_k and of the exponents is added.
 """
 
 from __future__ import annotations

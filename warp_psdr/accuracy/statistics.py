@@ -1,7 +1,7 @@
-"""Variances of batches, and what is known of them.
+"""Variances of batches, and their own uncertainty.
 
-The unbiased variance of batches, the squared norm without its noise, the error over parameters of different units, and
-jackknife spreads of all of these.
+The file holds the unbiased variance of batches, the squared norm without its noise, the error over parameters of
+different units, and jackknife spreads of all of these.
 
 Derivation: ``docs/theory/accuracy.md#variances-of-batches``.
 """

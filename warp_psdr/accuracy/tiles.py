@@ -1,7 +1,8 @@
-"""Where on the image samples are spent, by the term that runs over pixels.
+"""The allocation of samples over the image, for the term that runs over pixels.
 
-Neyman allocation: n_p in proportion to |w_p| s_t, the pixel's adjoint times the deviation measured in its tile. A share
-of the samples is spread evenly; counts are powers of two of the batch's, systematically thinned below one.
+Neyman allocation gives pixel p a number n_p in proportion to |w_p| s_t, its adjoint times the deviation measured in its
+tile. A share of the samples is spread evenly. Counts are powers of two of the batch's, systematically thinned below
+one.
 
 Derivation: ``docs/theory/accuracy.md#samples-over-the-image``.
 """

@@ -1,4 +1,4 @@
-"""Arguments of the drivers, checked once."""
+"""Checks of the drivers' arguments."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.derived_values import accumulate_derived
 from warp_psdr.scene.parameters import check_owner
 
@@ -49,19 +48,21 @@ def requested(scene: Scene, params: Parameters) -> list[str]:
     return params.requested
 
 
-def adjoint_array(adjoint, scene: Scene, sensor: int) -> wp.array:
-    """Return the adjoint of an image as an array of vec3, checked; (H, W), or ``flat`` of a transient film."""
-    shape, device = shape_of(scene, sensor), scene.device
+def adjoint_array(adjoint, shape: tuple[int, ...], device) -> wp.array:
+    """Return the adjoint of an image of a shape as an array of vec3, checked."""
     if isinstance(adjoint, wp.array) and adjoint.dtype is wp.vec3:
         if adjoint.shape != shape:
             raise ValueError(f"adjoint: got shape {adjoint.shape} of vec3, expected the image's {shape}")
         _check_finite(adjoint.numpy())
-        return flat(adjoint if adjoint.device == device else adjoint.to(device))
+        return adjoint if adjoint.device == device else adjoint.to(device)
     array = np.asarray(adjoint.numpy() if isinstance(adjoint, wp.array) else adjoint, dtype=np.float32)
     if array.shape != (*shape, 3):
-        raise ValueError(f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}")
+        raise ValueError(
+            f"adjoint: got shape {array.shape}, expected the image's {(*shape, 3)}, the derivative of the loss by "
+            f"every pixel and channel, or a Warp array of vec3, {shape}"
+        )
     _check_finite(array)
-    return flat(wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device))
+    return wp.array(np.ascontiguousarray(array), dtype=wp.vec3, device=device)
 
 
 def flat(image: wp.array) -> wp.array:

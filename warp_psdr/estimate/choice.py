@@ -1,10 +1,10 @@
-"""The pilot of ``interior="auto"``: whether what a request may draw for pays, told by variance times cost.
+"""The pilot of ``interior="auto"``: compares variance times cost of the methods that could serve a request.
 
-A pilot compiles the kernels of what it compares, which takes as long as many gradients of a small scene: it waits until
-a request has spent ``SPENT`` samples. Then every method draws ``ROUNDS`` times ``BATCHES`` batches of some pixels with
-equal random numbers. Launches on the CPU keep sums of blocks of pixels apart, whose variances add up. Costs are fixed
-factors, never timed, so that equal calls in equal order choose alike, with any number of workers. A call that was
-replayed is replayed when it is repeated with the same seed and values.
+A pilot compiles the kernels of the methods it compares, which takes as long as many gradients of a small scene. It
+therefore waits until a request has spent ``SPENT`` samples. Every method then draws ``ROUNDS`` times ``BATCHES``
+batches of some pixels with equal random numbers. Launches on the CPU keep sums of blocks of pixels apart, whose
+variances add up. Costs are fixed factors, never timed, so that equal calls in equal order choose alike, with any number
+of workers. A call that was replayed is replayed again when it is repeated with the same seed and values.
 
 Derivation: ``docs/theory/interior.md#which-method``.
 """
@@ -90,14 +90,15 @@ def decide(
     assert plan.wanted is not None
     methods = choice.candidates(plan)
     plans = [choice.by(plan, method) for method in (None, *(method for _kind, method in methods))]
-    compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
-    # (rounds, plans, parameters)
-    rounds = np.array(
-        [
-            [variance(scene, p, names, role, sensor, mix_seed(mix_seed(seed, PILOT), r), given) for p in plans]
-            for r in range(ROUNDS)
-        ]
-    )
+    with compiler.because("to compare methods for this repeated gradient"):
+        compiler.begin([k for p in plans for k in camera_gradient_kernels(p, role)], scene.device)
+        # (rounds, plans, parameters)
+        rounds = np.array(
+            [
+                [variance(scene, p, names, role, sensor, mix_seed(mix_seed(seed, PILOT), r), given) for p in plans]
+                for r in range(ROUNDS)
+            ]
+        )
     variances = rounds.mean(axis=0)
     variances[1:] += DOUBT * rounds[:, 1:].std(axis=0, ddof=1) / np.sqrt(ROUNDS)
     found.decided = True

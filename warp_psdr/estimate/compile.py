@@ -12,8 +12,8 @@ from warp_psdr.estimate import light
 from warp_psdr.estimate.boundary.terms import prepare
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
-from warp_psdr.scene import load
 from warp_psdr.scene.derived_values import pull_kernels
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
@@ -46,7 +46,7 @@ def compile(
     params: Parameters | None = None,
     *,
     integrator: Integrator | None = None,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
 ) -> Compilation:
     """Compile all kernels of a scene's image and, with parameters, of the gradient that they request.
 
@@ -57,7 +57,7 @@ def compile(
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``; None: the image alone.
         integrator: as of ``render``; default: what the scene file names.
-        sensor: which camera, by its number or its id.
+        sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
 
     Returns:
         What was compiled.
@@ -66,19 +66,20 @@ def compile(
         ValueError: as ``render_backward``, of what cannot be differentiated.
     """
     check_loaded(scene)
-    sensor = scene.description.camera_number(sensor)
     integrator = integrator_of(scene, integrator)
     start, before = time.perf_counter(), len(compiler.done)
-    plan = decide(scene, integrator=integrator, sensor=sensor)
-    kernels = light.image_kernels(scene, plan, sensor)
-    compiler.begin(kernels, scene.device)
-    if params is not None and params.requested:
-        names = params.requested
-        plan = decide(scene, params, integrator=integrator, sensor=sensor)
-        kernels += [*light.gradient_kernels(plan, "reverse"), *pull_kernels(scene, names)]
+    kernels: list = []
+    for number in scene.description.views(sensor).sensors:
+        plan = decide(scene, integrator=integrator, sensor=number)
+        kernels += light.image_kernels(scene, plan, number)
         compiler.begin(kernels, scene.device)
-        if plan.boundary is not None:
-            kernels += prepare(scene, plan, names, sensor)
+        if params is not None and params.requested:
+            names = params.requested
+            plan = decide(scene, params, integrator=integrator, sensor=number)
+            kernels += [*light.gradient_kernels(plan, "reverse"), *pull_kernels(scene, names)]
+            compiler.begin(kernels, scene.device)
+            if plan.boundary is not None:
+                kernels += prepare(scene, plan, names, number)
     compiler.ensure(kernels, scene.device)
     return Compilation(tuple(compiler.done[before:]), time.perf_counter() - start)
 
@@ -94,6 +95,3 @@ def image_ahead(scene: Scene) -> None:
             compiler.begin(light.image_kernels(scene, plan, 0), scene.device)
     except Exception:
         return  # whoever renders gets to hear of it
-
-
-load.ahead.append(image_ahead)

@@ -1,7 +1,7 @@
 """Sums of the shards' gradients, in double precision.
 
-Every shard of a launch adds to sums of its own (``kernels/sink.py``), which are added up in fixed order: so a gradient
-has the same bits for any number of workers, and its last digits do not depend on how many samples it is the sum of.
+Every shard of a launch adds to its own sums (``kernels/sink.py``), which are added up in a fixed order. A gradient
+therefore has the same bits for any number of workers, and its last digits do not depend on the number of samples.
 """
 
 from __future__ import annotations

@@ -27,6 +27,7 @@ from warp_psdr.estimate.passes import (
     part,
 )
 from warp_psdr.kernels.connection import make_connected_image_kernel
+from warp_psdr.kernels.films import add_splats, collect_splats
 from warp_psdr.kernels.interior.connected import make_connected_kernel
 from warp_psdr.kernels.interior.light_motion_replay import (
     make_light_motion_forward_kernel,
@@ -34,7 +35,7 @@ from warp_psdr.kernels.interior.light_motion_replay import (
 )
 from warp_psdr.kernels.interior.light_tracing import make_light_forward_kernel, make_light_replay_kernel
 from warp_psdr.kernels.light_ray import COVER
-from warp_psdr.kernels.light_tracing import add_splats, collect_splats, make_light_image_kernel
+from warp_psdr.kernels.light_tracing import make_light_image_kernel
 from warp_psdr.kernels.rng import mix_seed
 
 if TYPE_CHECKING:

@@ -19,10 +19,10 @@ from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.aov import ROW, make_aov_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.light_tracing import add_splats
+from warp_psdr.kernels.films import add_splats, collect
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
-from warp_psdr.kernels.splat import collect, make_splat_kernel
+from warp_psdr.kernels.splat import make_splat_kernel
 from warp_psdr.kernels.transient import make_transient_kernel
 from warp_psdr.plan.transient import gates_of
 from warp_psdr.topology.patches import patch_radii

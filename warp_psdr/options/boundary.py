@@ -88,22 +88,26 @@ class Connecting(Method):
 class PathSpace(Connecting):
     """Multi-directional sampling of boundary paths [ZMY*20] (``kernels/boundary/``).
 
-    Unbiased for triangle meshes with moving shapes, which may run through each other and interpolate normals, area,
-    environment, point, spot and directional lights, and a moving camera, at any depth. Through smooth mirrors and
-    glass it searches along lines (``kernels/boundary/specular/line_search.py``): 16 path vertices at most. Not covered,
-    and refused: textures with steps (checkerboards, bitmaps that take the nearest texel) that move before the camera or
+    The method is unbiased for triangle meshes with moving shapes, which may run through each other and interpolate
+    normals, for area, environment, point, spot and directional lights, and for a moving camera, at any depth. Through
+    smooth mirrors and glass it searches along lines, to 16 path vertices
+    (``kernels/boundary/specular/line_search.py``).
+
+    It refuses textures with steps (checkerboards, bitmaps that take the nearest texel) that move before the camera or
     beside mirrors and glass, faces' attributes where texture coordinates move, spots and projectors whose light ends
-    abruptly, what a clip plane cuts in sight, and shapes that share an edge.
-    Surfaces that merely touch are in contact: as they move apart, or into each other, the image has two one-sided
-    derivatives, and what is returned at the contact is neither. Forward mode warns of such tangents; the gradient of
-    reverse mode holds for motions along contacts and for those that keep what touches together, and the plan names the
-    shapes (``warp_psdr/topology/contacts.py``).
+    abruptly, surfaces that a clip plane cuts in sight, and shapes that share an edge.
+
+    Surfaces that merely touch are in contact. As they move apart, or into each other, the image has two one-sided
+    derivatives, and the result at the contact is neither. Forward mode warns of such tangents. The gradient of reverse
+    mode holds for motions along contacts and for those that keep together what touches; the plan names the shapes
+    (``warp_psdr/topology/contacts.py``).
 
     Attributes:
-        guiding: a method of ``psdr.guiding`` that learns where shadow edges and their like carry light, for example
-            ``psdr.guiding.KdTree()``; None: edges by length and angle, directions by the wedge or the lights.
-        spp_mirrors: paths along which what is seen through smooth mirrors and glass is searched, a pixel; None: as many
-            as the interior term's.
+        guiding: a method of ``psdr.guiding`` that learns where silhouettes between path vertices (shadow edges, for
+            example) carry light, such as ``psdr.guiding.KdTree()``; None: edges by length and angle, directions by the
+            wedge or the lights.
+        spp_mirrors: paths a pixel along which discontinuities behind smooth mirrors and glass are searched; None: as
+            many as the interior term's.
     """
 
 
@@ -111,10 +115,10 @@ class PathSpace(Connecting):
 class EdgeSampling(Method):
     """Unidirectional edge sampling [LADL18]: silhouette edges as every vertex of a camera path sees them.
 
-    Unbiased, for what ``PathSpace`` covers without mirrors and glass. Edges are resampled by the line integral of the
-    scattering lobe, half of the samples towards a light (``kernels/boundary/edge_sampling/edge_sampling.py``).
-    Shadow edges of point, spot and directional lights, which a path vertex cannot meet, are sampled from the edge, as
-    ``PathSpace`` does. In media the vertices are points of the medium, too
+    The method is unbiased for what ``PathSpace`` covers, without mirrors and glass. Edges are resampled by the line
+    integral of the scattering lobe; half of the samples aim at a light
+    (``kernels/boundary/edge_sampling/edge_sampling.py``). A path vertex cannot meet a point, spot or directional light,
+    so their shadow edges are sampled from the edge, as in ``PathSpace``. In media, vertices may be points of the medium
     (``kernels/boundary/edge_sampling/media_edge_sampling.py``).
 
     Attributes:
@@ -147,16 +151,17 @@ class FilmEdges(Method):
 
 @dataclass(frozen=True, kw_only=True)
 class Projective(Connecting):
-    """Projective sampling [ZRJ23]: where boundary segments carry light is learnt from ordinary paths.
+    """Projective sampling [ZRJ23]: ordinary paths teach where boundary segments carry light.
 
-    Segments of camera paths that a surface stops are projected to the nearest silhouette of that surface, by a walk
-    over its mesh (``kernels/boundary/guiding/projective.py``); guiding puts its cells where these seeds lie. The
-    estimator is that of ``PathSpace`` otherwise, unbiased whatever the projection finds, with the same coverage.
+    Segments of camera paths that end on a surface are projected to the nearest silhouette of that surface, by a walk
+    over its mesh (``kernels/boundary/guiding/projective.py``). Guiding puts its cells where these seeds lie. Otherwise
+    the estimator is that of ``PathSpace``: unbiased whatever the projection finds, with the same coverage, except
+    that grids, networks and curves are refused where something moves.
 
     Attributes:
-        guiding: a method of ``psdr.guiding``; ``KdTree`` and ``Octree`` are finest where seeds lie. None: uniform
-            sampling of edges by length and angle and of directions by the wedge, the paper's reference; what a point,
-            spot or directional light sends is aimed at by half of the samples then.
+        guiding: a method of ``psdr.guiding``; ``KdTree`` and ``Octree`` are finest where seeds lie. None: the paper's
+            reference, uniform sampling of edges by length and angle and of directions by the wedge; half of the samples
+            then aim at point, spot and directional lights.
         paths: camera paths whose segments are projected, for each kind of them.
         spp_mirrors: as of ``PathSpace``.
     """
@@ -230,9 +235,9 @@ class Distances(Reparametrised):
 class SignedDistance(Distances):
     """Rays that move with the silhouettes of a signed distance function [VSJ22], each evaluated at one place.
 
-    Unbiased without ``max_steps``, for one exact sphere, ``sdfgrid`` with cubic interpolation or ``neuralsdf`` that
-    moves or changes, alone under a sky or with flat surfaces around it under a flat area light; direct light
-    (``max_depth`` 1 or 2). What else moves, and discontinuities of other shapes within sight, are refused
+    The method is unbiased without ``max_steps``. It serves one exact sphere, ``sdfgrid`` with cubic interpolation or
+    ``neuralsdf`` that moves or changes, alone under a sky or with flat surfaces around it under a flat area light, in
+    direct light (``max_depth`` 1 or 2). It refuses other motions, and discontinuities of other shapes within sight
     (``warp_psdr/plan/reparametrised.py``).
     """
 

@@ -1,9 +1,9 @@
-"""What may be attached together [ZSGJ21]: the one table behind ``interior.Attached``, its errors and its page.
+"""Which samples and weights may be attached together [ZSGJ21]: the table of ``interior.Attached``, its errors and page.
 
 Two techniques find light, sampling of scattering directions and sampling of lights, and multiple importance sampling
-weighs them. A sample is attached if it moves with a parameter through the routine that draws it from random numbers,
-and detached if it stays. The numbers are those of a toy of one dimension, which ``tests/interior/test_attached.py``
-computes: two Gaussian densities, light from about the centre of the second.
+weights them. A sample is attached if it moves with a parameter through the routine that draws it from random numbers,
+and detached if it stays. The numbers are those of a one-dimensional toy problem, which
+``tests/interior/test_attached.py`` computes: two Gaussian densities, with light from about the centre of the second.
 """
 
 from __future__ import annotations

@@ -14,20 +14,20 @@ MAX_LEAVES = 1 << 20
 class Method(ABC):  # noqa: B024
     """A way to guide the sampling of boundary segments.
 
-    Whatever a method finds, the estimator stays unbiased: a share of the samples is uniform. What it finds is kept on
-    the scene and reused by later gradients of it (``estimate/guiding/store.py``), so their random errors depend on the
-    calls before; ``guiding.reset(scene)`` forgets. Equal histories and seeds give equal bits, whatever the number of
+    The estimator stays unbiased whatever a method finds, because a share of the samples is uniform. The structure is
+    kept on the scene and reused by later gradients of it (``estimate/guiding/store.py``), so their random errors depend
+    on earlier calls; ``guiding.reset(scene)`` forgets it. Equal histories and seeds give equal bits, with any number of
     workers.
 
     Attributes:
         max_leaves: most leaves of a technique's structure.
         samples: evaluations of the integrand a leaf while it is built, best a multiple of eight.
         floor: share of uniform samples, in (0, 1].
-        refresh: evaluations a leaf where a kept structure meets a scene that has changed; of a part of the leaves where
-            they would be more than a tenth of the samples.
-        drift: how far vertices, lights or the camera may have moved since the structure was built, relative to the
-            scene's radius, before it is built anew: as soon as that is cheap beside the samples, and at ten times as
-            far at the latest.
+        refresh: evaluations a leaf when a kept structure meets a scene that has changed. If all of them would be more
+            than a tenth of the samples, only a part of the leaves is refreshed.
+        drift: how far vertices, lights or the camera may move, relative to the scene's radius, before the structure is
+            built anew. It is then built as soon as that is cheap beside the samples, and at ten times as far at the
+            latest.
     """
 
     max_leaves: int = 16384
@@ -64,10 +64,9 @@ class Method(ABC):  # noqa: B024
 class KdTree(Method):
     """Adaptive k-d trees, one for each technique [YLB*22, sections 4 and 5] (options: see ``guiding.Method``).
 
-    Leaves start as slabs of neighbouring edges (``edge_chains.py``) and are split where that lowers the variance most,
-    in the middle of the axis that lowers it most. That is the criterion here, in place of the paper's difference
-    between corner and random values: at the silhouettes of fine meshes both are spikes. Densities are linear within
-    leaves.
+    Leaves start as slabs of neighbouring edges (``edge_chains.py``). They are split where that lowers the variance
+    most, in the middle of the axis that lowers it most. (The paper splits by the difference between corner and
+    random values, which are both spikes at the silhouettes of fine meshes.) Densities are linear within leaves.
     """
 
 
@@ -75,8 +74,8 @@ class KdTree(Method):
 class Octree(Method):
     """Octrees over the cube, one for each technique [ZRJ23, section 5] (more options: see ``guiding.Method``).
 
-    Slabs of neighbouring edges are cut into eight: first where seeds lie, then where their mass is largest. Seeds are
-    points where the integrand is large, of projected path vertices or, without them, of random points.
+    Slabs of neighbouring edges are cut into eight, first where seeds lie, then where their mass is largest. Seeds are
+    points where the integrand is large: those of projected path vertices, or else random points.
 
     Attributes:
         max_depth: most cuts in eight; a cell is never smaller than 2^-max_depth.
@@ -101,16 +100,16 @@ class Grid(Method):
     """Regular grids over the cube, one for each technique [ZMY*20, section 6.3] (more options: ``guiding.Method``).
 
     A cell's mass is the product of the radiance and the importance that meet in boundary segments through its points.
-    Both come from k-nearest density estimates, of photons at the segments' far ends and of importons at their near
-    ends, and from what the far ends emit; no path is traced for a cell. The published grids are [5000, 5, 5, 32] and
-    [2000, 5, 5, 32] cells over edge, direction and light; here the three axes are the cube's.
+    The radiance comes from a k-nearest density estimate of photons at the segments' far ends and from the emission
+    there, the importance from one of importons at their near ends. No path is traced for a cell. The published grids
+    are [5000, 5, 5, 32] and [2000, 5, 5, 32] cells over edge, direction and light; here the three axes are the cube's.
 
     Attributes:
         shape: cells along the edges and along the two coordinates of the direction, 2^20 at most.
-        photons: light paths.
-        importons: camera paths.
-        neighbours: k.
-        samples: points of a cell whose segments are asked for.
+        photons: number of light paths.
+        importons: number of camera paths.
+        neighbours: k of the density estimates.
+        samples: points of a cell at which radiance and importance are looked up.
     """
 
     shape: tuple[int, int, int] = (512, 8, 8)

@@ -1,4 +1,4 @@
-"""Integrators: what light transport is computed, and which methods differentiate it."""
+"""Integrators: the light transport that is computed, and the methods that differentiate it."""
 
 from __future__ import annotations
 

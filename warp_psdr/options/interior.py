@@ -1,4 +1,4 @@
-"""Methods of the interior term (survey eq. 12 first term, section 3)."""
+"""Methods of the interior term ([ZCZ25] eq. 12 first term, section 3)."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ class Replay(Method):
     """Path replay [VSJ21] by record and sweep (``kernels/interior/replay.py``).
 
     Attributes:
-        block: K, how many path vertices are kept at a time. Longer paths are replayed in blocks of K (without a depth
-            limit those of some 500 vertices more than Russian roulette begins at are cut, one in 10^11).
+        block: K, the number of path vertices that are kept at a time. Longer paths are replayed in blocks.
+            (Without a depth limit, paths are cut some 500 vertices after Russian roulette begins, one in 10^11.)
         flow: how vertices of smooth grids (``interpolation: cubic``) and networks move, which have no material points.
-            "ray": along the rays that found them; "normal": along the normals, as [ZCM*24] have it, with the change of
-            the area element, and without what such shapes send past their silhouettes in the boundary term. Both are
-            unbiased. Shapes whose normals are not continuous (linear grids) and curves are refused with "normal"
-            (``docs/theory/implicit.md#normal-flow``). All other shapes have material points.
+            "ray": along the rays that found them; "normal": along the normals, as in [ZCM*24], with the change of the
+            area element. Under "normal" light that such shapes send past their silhouettes does not count in the
+            boundary term. Both are unbiased. "normal" refuses curves, and shapes whose normals are not continuous
+            (linear grids) (``docs/theory/implicit.md#normal-flow``). All other shapes have material points.
     """
 
     block: int = 8
@@ -55,11 +55,11 @@ class Replay(Method):
 class LightTracing(Method):
     """Light tracing: paths start at the lights, and the camera is joined to every vertex (``kernels/light_path.py``).
 
-    It draws the image as well as its derivatives. Lights of no area shine through glass and mirrors, which paths from
-    the camera never find. What the camera sees in mirrors and glass themselves, and the lights that it sees, is drawn
-    from the camera. Samples a pixel are light paths over pixels, and as many paths from the camera. Derivatives, by
-    record and sweep [NDSRJ20], are by all but the camera and the shapes of lights; by what moves vertices of its paths
-    they are the interior term alone, with ``boundary=None`` (``kernels/interior/light_tracing.py``,
+    The method draws the image as well as its derivatives. It finds light of no area behind glass and mirrors, which
+    paths from the camera never find. Camera rays draw what the camera sees in mirrors and glass, and the lights
+    that it sees. Samples a pixel are light paths over pixels; there are as many camera paths. Derivatives, by record
+    and sweep [NDSRJ20], are by everything except the camera and the shapes of lights. By parameters that move vertices
+    of light paths they are the interior term alone, with ``boundary=None`` (``kernels/interior/light_tracing.py``,
     ``light_motion.py``).
 
     Attributes:
@@ -87,14 +87,14 @@ CONNECTIONS = ("light", "all")
 class Bidirectional(Method):
     """Paths from the camera and from the lights, weighted against each other (``kernels/bidirectional_path.py``).
 
-    A path from the camera finds light by hitting it and by next-event estimation, a light path by being joined to the
-    camera; each counts with the balance heuristic over all ways to draw it [Vea97]. It draws the image as well as its
-    derivatives, which are by what moves no vertex of its paths. Samples a pixel are paths from the camera, and as
-    many light paths.
+    A camera path finds light by hitting it and by next-event estimation; a light path is joined to the camera. Each
+    counts with the balance heuristic over all ways to draw it [Vea97]. The method draws the image as well as its
+    derivatives, which are by parameters that move no vertex of its paths. Samples a pixel are camera paths; there are
+    as many light paths.
 
     Attributes:
-        connections: "light": the three ways above; "all": the vertices of the one are joined to those of the other
-            too, of paths of at most 16 vertices.
+        connections: "light": the three ways above; "all": the vertices of both paths are joined as well, for paths of
+            at most 16 vertices.
         block: K, as of ``Replay``; with "all" the whole path is kept.
     """
 
@@ -123,15 +123,15 @@ LEAST_CANDIDATES, MOST_CANDIDATES = 4, 256
 class Resampled(Method):
     """Resampled branches (``kernels/interior/resampled.py``), after [BXB*24]; the rest: replay.
 
-    Branched are the numbers of materials with smooth lobes (roughnesses, exponents, indices of refraction, weights of
-    mixtures, opacities), by one of them a sample; by weights half of the candidates are of each end. What turns the
-    normals of glossy surfaces (normal and bump maps, vertex normals, and positions, poses and cameras as far as they
-    turn normals) has a pair of directions of its own, drawn by both tilts (``kernels/interior/opposite.py``); beside
-    smooth mirrors and glass, vertices that move are replayed. In scenes with participating media it is `g` of `hg`
-    alone. All else that is requested is left to ``Replay()``.
+    The method branches for two kinds of parameters. The first are numbers of materials with smooth lobes (roughnesses,
+    exponents, indices of refraction, weights of mixtures, opacities), one of them a sample. For weights, half of the
+    candidates come from each end of the mixture. The second turn the normals of glossy surfaces (normal and bump maps,
+    vertex normals, and positions, poses and cameras as far as they turn normals); a pair of directions, drawn by both
+    tilts, serves them (``kernels/interior/opposite.py``). Beside smooth mirrors and glass, vertices that move are
+    replayed. In scenes with participating media the method branches for `g` of `hg` alone. ``Replay()`` does the rest.
 
     Attributes:
-        candidates: how many directions, and light points, are looked at where a path branches, a square.
+        candidates: number of directions, and of light points, that are compared where a path branches; a square.
     """
 
     candidates: int = 16
@@ -155,13 +155,14 @@ class Attached(Method):
     """Samples that move with a roughness, or stay [ZSGJ21] (``kernels/interior/attached.py``); the rest: replay.
 
     A sample is attached if it moves with the parameter through the routine that draws it, and detached if it stays.
-    Which choices go together, and why, is one table: ``docs/methods/attached.md``. With all detached it is replay.
-    Attached directions are those of rough metal by its roughness, where reflected rays meet nothing but the sky.
+    One table says which choices go together, and why: ``docs/methods/attached.md``. With all detached the method is
+    replay. Attached directions are those of rough metal by its roughness, where reflected rays meet only the sky.
 
     Attributes:
-        bsdf: "attached" or "detached": the directions that leave surfaces.
-        emitter: the same of points on lights; "detached" alone is offered.
-        weights: of multiple importance sampling: "detached", "attached", or "position": through the direction alone.
+        bsdf: directions that leave surfaces: "attached" or "detached".
+        emitter: points on lights; "detached" alone is offered.
+        weights: weights of multiple importance sampling: "detached", "attached", or "position": attached through the
+            moving direction alone.
     """
 
     bsdf: str = "detached"
@@ -206,13 +207,13 @@ class Attached(Method):
 class Decomposed(Method):
     """Derivatives of one sign each [BXB*24] (``kernels/interior/decomposed.py``, ``kernels/interior/mixtures.py``).
 
-    Branched are the roughnesses of `roughconductor`, of either distribution, and the exponents of `ashikhminshirley`,
-    isotropic or not, `A`, `B` and `C` of `abc`, `sigma` of `orennayar` and `eta` of `roughplastic`, which weighs its
-    coat against its base, by the lobes of their derivative; and weights of mixtures by what they mix: `weight` of
-    `blendbsdf`, and `metallic`, `spec_trans`, `clearcoat`, `sheen`, `sheen_tint`, `flatness`, `spec_tint` and
-    `diff_trans` of `principled` and `principledthin`, nested or not, and `opacity` of `mask`. In scenes with
-    participating media it is `g` of `hg`. All else that is requested is left to ``Replay()``; it refuses other shapes
-    of lobes, which ``Resampled()`` differentiates by.
+    The method branches by the lobes of the derivative for roughnesses of `roughconductor` (either distribution),
+    exponents of `ashikhminshirley` (isotropic or not), `A`, `B` and `C` of `abc`, `sigma` of `orennayar`, and `eta` of
+    `roughplastic`, which weighs its coat against its base. It branches by the two ends of a mixture for `weight` of
+    `blendbsdf`, `opacity` of `mask`, and `metallic`, `spec_trans`, `clearcoat`, `sheen`, `sheen_tint`, `flatness`,
+    `spec_tint` and `diff_trans` of `principled` and `principledthin`, nested or not. In scenes with participating media
+    it branches for `g` of `hg`. It refuses other shapes of lobes, which ``Resampled()`` takes; ``Replay()`` does the
+    rest.
     """
 
 
@@ -220,9 +221,10 @@ class Decomposed(Method):
 class Antithetic(Method):
     """Antithetic pairs at glossy surfaces [ZDDZ21] (``kernels/interior/antithetic.py``); the rest: replay.
 
-    Paired are derivatives by what turns the normals of glossy surfaces: normal and bump maps, vertex normals, and
-    positions and poses as far as they turn normals. All else that is requested, and what else those move, is left to
-    ``Replay()``. It refuses requests in which no normal turns, and moving vertices beside smooth mirrors or glass.
+    Pairs serve derivatives by parameters that turn the normals of glossy surfaces: normal and bump maps, vertex
+    normals, and positions and poses as far as they turn normals. ``Replay()`` does everything else that is requested,
+    and everything else that those parameters move. The method refuses requests in which no normal turns, and moving
+    vertices beside smooth mirrors or glass.
     """
 
 
@@ -243,8 +245,9 @@ class Branches(Method):
 class DifferentialRatioTracking(Method):
     """Differential ratio tracking [NDMKJ22] in grids of density (``kernels/interior/differential_ratio_tracking.py``).
 
-    Of in-scattering, points by transmittance alone share the derivative by the density with collisions; one stretch of
-    each path has such a point, and a path of its own from there. All else is ``Replay()``.
+    The derivative of in-scattering by the density is shared between collisions and points that are drawn by
+    transmittance alone. One stretch of each path has such a point, and a new path starts there. ``Replay()`` does the
+    rest.
 
     Attributes:
         block: K, as of ``Replay``.
@@ -265,9 +268,10 @@ class DifferentialRatioTracking(Method):
 class RadiativeTransfer(Method):
     """Differential radiative transfer [ZWZ*19] (``kernels/transfer/radiative_transfer.py``), for comparison.
 
-    For small scenes with homogeneous media. Directions and distances are fixed in the world, unlike in ``Replay()``.
-    Ends of flights that move, and edges that vertices of a path see, on surfaces and in the medium, have terms that are
-    estimated with it: there is no method of the boundary term beside it. All that moves nothing is as in ``Replay()``.
+    The method is for small scenes with homogeneous media. Directions and distances are fixed in the world, unlike in
+    ``Replay()``. It estimates the terms of moving ends of flights, and of edges that vertices of a path see, on
+    surfaces and in the medium; there is no method of the boundary term beside it. Derivatives by parameters that
+    move nothing are those of ``Replay()``.
 
     Attributes:
         edges: sample the edges that path vertices see; False leaves them out.
@@ -292,13 +296,13 @@ class RadiativeTransfer(Method):
 class FilmAntithetic(Method):
     """First vertices that stay on surfaces, and film points in mirrored fours [YZN*22], for moving cameras and meshes.
 
-    What the camera sees moves under the pixel filter, which is differentiated instead of the surfaces' textures
-    (``kernels/interior/film_antithetic.py``). Edges that stay with a surface need no boundary term; silhouettes have
-    that of ``boundary.PathSpace`` in this form, but where the camera sees a closed convex room and nothing else. Four
-    samples share their random numbers: take multiples of four.
+    The image of a surface moves under the pixel filter, and the filter is differentiated in place of the surface's
+    textures (``kernels/interior/film_antithetic.py``). Edges that stay with a surface need no boundary term.
+    Silhouettes have that of ``boundary.PathSpace`` in this form, except where the camera sees a closed convex room and
+    nothing else. Four samples share their random numbers: take multiples of four.
 
     Attributes:
-        mirrored: whether film points come in fours; drawn one by one they are there to compare with.
+        mirrored: draw film points in fours; False draws them one by one, for comparison.
     """
 
     mirrored: bool = True
@@ -318,11 +322,11 @@ class Textbook(Method):
 class Radiative(Method):
     """Radiative backpropagation [NDSRJ20] (``kernels/interior/radiative.py``), for comparison only.
 
-    Every vertex of a path estimates the light that arrives there with a path of its own: nothing is kept, and time
-    grows with the square of the depth. It refuses vertices that move in scenes with smooth mirrors or glass.
+    Every vertex of a path estimates its incident light with a path of its own. Nothing is kept, and time grows with the
+    square of the depth. The method refuses vertices that move in scenes with smooth mirrors or glass.
 
     Attributes:
-        linear: take 1 for that light, which costs no further paths and is biased.
+        linear: set that light to 1, which costs no further paths and is biased.
     """
 
     linear: bool = False

@@ -1,4 +1,4 @@
-"""The published methods that exist here: the one table behind ``psdr.methods()``, the README and the documentation."""
+"""The table of the published methods behind ``psdr.methods()``, the README and the documentation."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class Method:
     """A published method and where it stands.
 
     Attributes:
-        key: the paper, by its key in the survey's references and in ``docs/references.bib``.
+        key: the paper, by its key in the references of the survey [ZCZ25] and in ``docs/references.bib``.
         paper: what the paper calls the method.
         option: the expression behind ``psdr.`` that asks for it.
         term: what it estimates, or helps to: "interior", "boundary" or "guiding".

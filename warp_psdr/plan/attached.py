@@ -1,4 +1,4 @@
-"""What attached samples cannot be used for: where a direction that moves may cross an edge, and what nothing moves."""
+"""Where attached samples are refused: a moving direction may cross an edge, or the material's directions stay."""
 
 from __future__ import annotations
 

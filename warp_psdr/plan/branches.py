@@ -1,4 +1,4 @@
-"""Branches: which derivatives the methods draw for, which they refuse, and the kernels of both and of the rest."""
+"""Branches in the plan: the derivatives that the methods draw for or refuse, and all kernels of a request."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""``interior="auto"``: which methods of the interior term a request could gain by, and what is known of them.
+"""``interior="auto"`` in the plan: the methods of the interior term that could gain, and what the scene knows of them.
 
-By rule: shapes of lobes and weights of mixtures are branched, normals of glossy surfaces have pairs, and all else is
-replayed. What the rule offers is taken once a pilot has found that it pays (``estimate/choice.py``), which waits for a
-gradient that is repeated: the first ones are replayed, by the kernel that they would have without the rule. What a
-request has found is kept with the scene.
+The rule offers branches for shapes of lobes and weights of mixtures, pairs for normals of glossy surfaces, and replay
+for everything else. An offer is taken once a pilot has found that it pays (``estimate/choice.py``). The pilot waits for
+a repeated gradient; the first gradients are replayed, by the kernel that they would have without the rule. The result
+is kept with the scene.
 
 Derivation: ``docs/theory/interior.md#which-method``.
 """

@@ -1,4 +1,4 @@
-"""Which method estimates the boundary term of a scene, and what none of them covers."""
+"""The method that estimates the boundary term of a scene, and what no method covers."""
 
 from __future__ import annotations
 

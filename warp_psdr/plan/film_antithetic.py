@@ -1,4 +1,4 @@
-"""What mirrored film points can estimate, and where they need no boundary term: rooms seen as a whole."""
+"""Mirrored film points in the plan: what they can estimate, and the rooms in which they need no boundary term."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What guiding has built for a scene: where it is kept, and what the plan says of it."""
+"""Guiding in the plan: where a scene keeps its structures, and what the plan prints of them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The integrator of a call: the one that is given, in whatever form, or that of the scene's file."""
+"""The integrator of a call: the given one, in whatever form, or that of the scene's file."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The table of interior methods: which kernel estimates the interior term, what it claims, what the plan says of it.
+"""The table of interior methods: the kernel that estimates the interior term, its claims, and its lines in the plan.
 
-A row belongs to a method of ``psdr.interior`` and to a kind of method of the boundary term: explicit boundary terms
-leave the interior's kernel as it is, others (reparameterisations) change it. A new method is an object in
+A row belongs to a method of ``psdr.interior`` and to a kind of method of the boundary term. Explicit boundary terms
+leave the interior's kernel as it is; reparameterisations change it. A new method is an object in
 ``options/interior.py``, a kernel, and a row here.
 """
 

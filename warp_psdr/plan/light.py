@@ -1,4 +1,4 @@
-"""What light paths call for: the paths from the camera beside them, where they join these, and what is refused."""
+"""Light paths in the plan: the camera paths beside them, where the two are combined, and what is refused."""
 
 from __future__ import annotations
 

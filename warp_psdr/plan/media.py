@@ -1,4 +1,4 @@
-"""What the plan says of participating media, and which derivatives in scenes with media it refuses."""
+"""Participating media in the plan: what it prints of them, and the derivatives that it refuses."""
 
 from __future__ import annotations
 

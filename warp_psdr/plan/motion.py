@@ -1,4 +1,4 @@
-"""What moves the discontinuities of an image."""
+"""Which requested parameters move discontinuities of an image."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The plan: what a scene, the requested parameters and the integrator call for, and nothing else.
 
-Everything here becomes a compile-time constant of the kernels, so that what the plan leaves out costs neither run time
-nor compile time.
+Every decision becomes a compile-time constant of the kernels. What the plan leaves out costs neither run time nor
+compile time.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
 from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion
-from warp_psdr.plan.record import Plan
+from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
 from warp_psdr.scene.bsdfs import model_of
+from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -63,26 +64,38 @@ def plan(
     params: Parameters | None = None,
     *,
     integrator: Integrator | None = None,
-    sensor: int | str = 0,
+    sensor: Sensor = 0,
     names: list[str] | None = None,
-) -> Plan:
+) -> Plan | Plans:
     """Decide what is compiled and estimated, and say why.
 
     Args:
         scene: a loaded scene.
         params: its parameters; those that ``requires_grad`` was asked for are differentiated.
         integrator: as of ``render``; default: the one that the scene file names.
-        sensor: which camera (its filter is compiled in), by its number or its id.
+        sensor: which camera (its filter is compiled in), by its number or its id; of a ``batch`` all its cameras;
+            several in a list.
         names: what is differentiated, instead of ``params``' requests.
 
     Returns:
-        The plan.
+        The plan; of several sensors the ``Plans`` of each.
 
     Raises:
         KeyError: the scene has no parameter of such a name.
         ValueError: the methods named by the integrator cannot differentiate what is requested.
     """
     check_loaded(scene)
+    views = scene.description.views(sensor)
+    if views.several:
+        each = ((scene.description.sensors[n].path, n) for n in views.sensors)
+        return Plans({p: _told(scene, params, integrator, n, names) for p, n in each})
+    return _told(scene, params, integrator, views.sensors[0], names)
+
+
+def _told(
+    scene: Scene, params: Parameters | None, integrator: Integrator | None, sensor: int, names: list[str] | None
+) -> Plan:
+    """Return the plan of one sensor, with a line on the shapes in contact."""
     decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
     touching = contacts.describe(scene, motion(scene, _named(scene, params, names)).shapes) if decided.boundary else ""
     if not touching:

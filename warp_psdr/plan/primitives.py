@@ -1,4 +1,4 @@
-"""Shapes without triangles in a plan: which kinds a scene holds, what is said of them, and what they do not do yet."""
+"""Shapes without triangles in the plan: the kinds that a scene holds, their lines, and what is not supported yet."""
 
 from __future__ import annotations
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from html import escape
 from typing import TYPE_CHECKING
 
 from warp_psdr import html
@@ -70,3 +72,35 @@ class Plan:
     def _repr_html_(self) -> str:
         """Return the table that a notebook shows."""
         return html.table(("", "decision", "reason"), self.lines)
+
+
+class Plans(Mapping[str, Plan]):
+    """The plans of several sensors, by the sensor's name; ``print`` shows those that differ, with their sensors."""
+
+    def __init__(self, plans: Mapping[str, Plan]):
+        self._plans = dict(plans)
+
+    def __getitem__(self, sensor: str) -> Plan:
+        return self._plans[sensor]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._plans)
+
+    def __len__(self) -> int:
+        return len(self._plans)
+
+    def _grouped(self) -> list[tuple[str, Plan]]:
+        """Return the plans that differ, each with the names of the sensors that have it."""
+        groups: dict[tuple, list[str]] = {}
+        for name, plan in self.items():
+            groups.setdefault(plan.lines, []).append(name)
+        return [(", ".join(names), self[names[0]]) for names in groups.values()]
+
+    def __str__(self) -> str:
+        """Return a table for each group of sensors."""
+        return "\n\n".join(f"{names}:\n{plan}" for names, plan in self._grouped())
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return "".join(f"<p>{escape(names)}</p>{plan._repr_html_()}" for names, plan in self._grouped())

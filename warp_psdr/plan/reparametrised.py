@@ -1,7 +1,7 @@
-"""Boundary methods whose rays move with the silhouettes of a signed distance: which scenes they are right for.
+"""Boundary methods whose rays move with the silhouettes of a signed distance: the scenes for which they are right.
 
-Rays near a silhouette move whatever else they see. So no other discontinuity may lie there: neither on the film nor,
-of what a path vertex sees of the lights, anywhere. What is not told to be free of them is refused.
+Rays near a silhouette move whatever else they see. No other discontinuity may therefore lie there: neither on the film,
+nor anywhere in what a path vertex sees of the lights. Scenes that are not known to be free of them are refused.
 
 Derivation: ``docs/theory/signed_distances.md#what-rays-that-move-may-see``.
 """

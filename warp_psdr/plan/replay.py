@@ -1,4 +1,4 @@
-"""Record and sweep: what of a path is kept, and the kernels that other methods have beside theirs."""
+"""Record and sweep in the plan: the part of a path that is kept, and the kernels beside those of other methods."""
 
 from __future__ import annotations
 

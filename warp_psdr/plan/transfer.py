@@ -1,4 +1,4 @@
-"""Where the differential radiative transfer equation is estimated with its own boundary, and which edges it takes."""
+"""Differential radiative transfer in the plan: where its own boundary is complete, and which edges it takes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the plan says of transient films, and what before them it refuses."""
+"""Transient films in the plan: what it prints of them, and what it refuses."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Warped-area sampling and rotations: which scenes their rays move rightly in.
+"""Warped-area sampling and rotations: the scenes in which their rays move correctly.
 
-The motion of a ray has to meet every discontinuity about it with that one's speed. Auxiliary rays know the edges of the
-triangles that they meet. All that jumps elsewhere is refused.
+The motion of a ray has to meet every discontinuity near it with the speed of that discontinuity. Auxiliary rays know
+the edges of the triangles that they meet. Scenes with jumps elsewhere are refused.
 
 Derivation: ``docs/theory/reparameterisation.md#what-is-refused``.
 """

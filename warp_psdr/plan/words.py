@@ -1,4 +1,4 @@
-"""What the plan calls kinds of lights, cameras and textures."""
+"""The plan's names for kinds of lights, cameras and textures."""
 
 from __future__ import annotations
 

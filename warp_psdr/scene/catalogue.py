@@ -1,4 +1,4 @@
-"""Mitsuba 3's plugins by kind, those that are not supported included, so that messages know what a name stands for."""
+"""All plugins of Mitsuba 3 by kind, unsupported ones included, so that messages can say what a name stands for."""
 
 from __future__ import annotations
 

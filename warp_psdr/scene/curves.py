@@ -1,4 +1,4 @@
-"""Curves with a radius: how they are read, and what the kernels need of them (``kernels/primitive/curves.py``)."""
+"""Curves with a radius: the reader, and the values that the kernels need (``kernels/primitive/curves.py``)."""
 
 from __future__ import annotations
 
@@ -270,7 +270,7 @@ class Trees:
         """Write what follows from a shape's control points and its pose, and make or rebuild its tree."""
         scene, curves = self._scene, self._scene.description.shapes[shape].curves
         assert curves is not None
-        place, pose = scene.builder.curves[shape], scene.pose_offsets(shape)[0]
+        place, pose = scene.builder.curves[shape], scene.poses.offsets(shape)[0]
         size, first = curves.points.size, place + HEADER
         to_world = scene.values[pose : pose + 16].numpy().astype(np.float64).reshape(4, 4)
         local = scene.values[first : first + size].numpy().astype(np.float64).reshape(-1, 4)
@@ -301,9 +301,9 @@ class Trees:
         box[:3, 3] = 0.5 * (high.max(axis=0) + low.min(axis=0))
         scene.values[place : place + 16].assign(box.astype(np.float32).reshape(-1))
         corners = _box(local, to_world)
-        scene.local_geometry(shape)[0].assign(corners.astype(np.float32))
+        scene.poses.local(shape)[0].assign(corners.astype(np.float32))
         moved = transform_points(to_world, corners).astype(np.float32).reshape(-1)
-        positions = scene.pose_offsets(shape)[1]
+        positions = scene.poses.offsets(shape)[1]
         scene.values[positions : positions + moved.size].assign(moved)
 
 

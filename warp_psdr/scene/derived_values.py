@@ -1,8 +1,7 @@
-"""From sources to derived values and back: poses to vertices and to inverses, positions to vertex normals.
+"""Derived values from their sources, and back: poses to vertices and to inverses, positions to vertex normals.
 
-The rendering kernels know vertex positions and normals only, and of a volume's pose its inverse. In reverse mode their
-gradients are pulled back to what they were computed from; in forward mode the tangents of the sources are pushed on
-before the kernels run.
+The rendering kernels know only vertex positions and normals, and the inverse of a volume's pose. Reverse mode pulls
+their gradients back to the sources. Forward mode pushes the tangents of the sources on before the kernels run.
 """
 
 from __future__ import annotations
@@ -64,7 +63,7 @@ def _geometry_ranges(scene: Scene, names: list[str]) -> list[tuple[int, int]]:
         record = scene.builder.shapes[shape]
         ranges.append((record.normal_offset + 3 * record.first_vertex, 3 * record.vertex_count))
     for shape in sorted({*_posed(scene, names), *scene.instances.following(names)}):
-        _to_world, positions, normals = scene.pose_offsets(shape)
+        _to_world, positions, normals = scene.poses.offsets(shape)
         size = 3 * scene.builder.shapes[shape].vertex_count
         ranges.append((positions, size))
         if normals >= 0:
@@ -88,11 +87,12 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
     device = scene.device
     pull_poses(scene, names, grad)
     pull_sky(scene, names, grad)
-    # Poses first: they own their normals, so what positions get through derived normals is not theirs.
+    _pull_normals(scene, names, grad)
+    # Poses after normals that are computed from positions: a pose moves the positions, and these normals follow.
     for shape in _posed(scene, names):
         record = scene.builder.shapes[shape]
-        vertices, normals = scene.local_geometry(shape)
-        offsets = scene.pose_offsets(shape)
+        vertices, normals = scene.poses.local(shape)
+        offsets = scene.poses.offsets(shape)
         pose = wp.zeros((3, 4), dtype=wp.float64, device=device)
         launch(
             pose_shape_vjp,
@@ -103,6 +103,10 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
         )
         launch(add_pose, dim=(3, 4), inputs=[pose, offsets[0]], outputs=[grad], device=device)
     scene.instances.pull(names, grad)
+
+
+def _pull_normals(scene: Scene, names: list[str], grad: wp.array) -> None:
+    """Add the gradients of positions that arrive through normals that are computed from them."""
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)
@@ -112,14 +116,14 @@ def pull_derived(scene: Scene, names: list[str], grad: wp.array) -> None:
             dim=record.vertex_count,
             inputs=[sums, grad, record.normal_offset + 3 * record.first_vertex],
             outputs=[adjoint],
-            device=device,
+            device=scene.device,
         )
         launch(
             sum_normals_vjp,
             dim=record.face_count,
             inputs=[scene.values, scene.positions, scene.indices, record.first_face, record.first_vertex, adjoint],
             outputs=[grad],
-            device=device,
+            device=scene.device,
         )
 
 
@@ -134,7 +138,18 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
     device = scene.device
     push_poses(scene, names, tangent)
     push_sky(scene, names, tangent)
-    # Poses last, for the same reason as above.
+    # In the order opposite to the above.
+    scene.instances.push(names, tangent)
+    for shape in _posed(scene, names):
+        record = scene.builder.shapes[shape]
+        vertices, normals = scene.poses.local(shape)
+        launch(
+            pose_shape_jvp,
+            dim=record.vertex_count,
+            inputs=[scene.values, vertices, normals, *scene.poses.offsets(shape)],
+            outputs=[tangent],
+            device=device,
+        )
     for shape in scene.derived_normals(names):
         record = scene.builder.shapes[shape]
         sums = scene.normal_sums(shape, write=False)
@@ -150,17 +165,6 @@ def accumulate_derived(scene: Scene, names: list[str], tangent: wp.array) -> Non
             normalization_jvp,
             dim=record.vertex_count,
             inputs=[sums, sums_tangent, record.normal_offset + 3 * record.first_vertex],
-            outputs=[tangent],
-            device=device,
-        )
-    scene.instances.push(names, tangent)
-    for shape in _posed(scene, names):
-        record = scene.builder.shapes[shape]
-        vertices, normals = scene.local_geometry(shape)
-        launch(
-            pose_shape_jvp,
-            dim=record.vertex_count,
-            inputs=[scene.values, vertices, normals, *scene.pose_offsets(shape)],
             outputs=[tangent],
             device=device,
         )

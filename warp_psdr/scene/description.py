@@ -1,11 +1,12 @@
 """A scene as plain values: what the readers produce and what the device build consumes.
 
 Everything is NumPy, float32, world space and validated; nothing here knows Warp. ``path`` fields hold the name under
-which ``psdr.traverse`` lists a thing's values (Mitsuba 3's names), for example ``"wall.reflectance"``.
+which ``psdr.traverse`` lists the values of an object (Mitsuba 3's names), for example ``"wall.reflectance"``.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -203,10 +204,10 @@ class ShapeDescription:
     flip_normals: bool = False
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
     emitter: EmitterDescription | None = None
-    #: Tessellated analytic shapes (rectangle, cube, sphere, disk, cylinder): the object-space source of the above, so
-    #: that ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose.
+    #: ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose. None: the
+    #: matrix has no inverse, or the shape is part of a group.
     to_world: np.ndarray | None = None  #: (4, 4)
-    local_vertices: np.ndarray | None = None  #: (N, 3)
+    local_vertices: np.ndarray | None = None  #: (N, 3) object space; None: found from the vertices (``scene/poses.py``)
     local_normals: np.ndarray | None = None  #: (N, 3)
     sensor: SensorDescription | None = None  #: an irradiance meter
     interior: MediumDescription | None = None  #: medium behind the triangles, against their normals
@@ -226,6 +227,30 @@ class ShapeDescription:
     def source(self) -> str:
         """Path under which its vertices and attributes are listed."""
         return self.path if self.prototype is None else self.prototype.path
+
+
+#: What a call takes as ``sensor``: a number, an id, or several of them.
+Sensor = int | str | Sequence[int | str]
+
+
+@dataclass(frozen=True)
+class Views:
+    """What a call's ``sensor`` names.
+
+    Attributes:
+        sensors: their numbers, from left to right or from first to last.
+        batch: number of the ``batch`` on whose film they stand side by side; None: there is none.
+        stacked: they were given as a list: their images are stacked, (B, H, W).
+    """
+
+    sensors: tuple[int, ...]
+    batch: int | None = None
+    stacked: bool = False
+
+    @property
+    def several(self) -> bool:
+        """Whether the call puts images together."""
+        return self.stacked or self.batch is not None
 
 
 @dataclass(frozen=True)
@@ -296,9 +321,27 @@ class SceneDescription:
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     notes: list[str] = field(default_factory=list)  #: reported repairs and ignored cosmetic properties
 
-    def parts_of(self, sensor: int) -> list[int]:
-        """Return the numbers of the sensors of a batch, from the left to the right; empty: it is none."""
-        return [next(i for i, s in enumerate(self.sensors) if s is part) for part in self.sensors[sensor].nested]
+    def views(self, sensor: Sensor) -> Views:
+        """Return what a call's ``sensor`` names.
+
+        Args:
+            sensor: a number, an id, or several of them in a list.
+
+        Raises:
+            ValueError: There is no such sensor, the list is empty, or it holds a batch.
+        """
+        if isinstance(sensor, Sequence) and not isinstance(sensor, str):
+            if not sensor:
+                raise ValueError("sensor: got an empty list; name at least one sensor")
+            numbers = tuple(self.camera_number(one) for one in sensor)
+            if len(set(numbers)) < len(numbers):
+                raise ValueError(f"sensor: got {list(sensor)}, which names a sensor twice; name each once")
+            return Views(numbers, stacked=True)
+        number = self.sensor_number(sensor)
+        nested = self.sensors[number].nested
+        if not nested:
+            return Views((number,))
+        return Views(tuple(next(i for i, s in enumerate(self.sensors) if s is part) for part in nested), batch=number)
 
     def camera_number(self, sensor: int | str) -> int:
         """Return the number of a sensor that is no batch; as ``sensor_number``.
@@ -310,8 +353,8 @@ class SceneDescription:
         names = ", ".join(repr(s.path) for s in self.sensors[number].nested)
         if names:
             raise ValueError(
-                f"sensor {self.sensors[number].path!r} is a 'batch', which render, render_backward and render_forward "
-                f"take, with spp; give one of its sensors here: {names}"
+                f"sensor {self.sensors[number].path!r} is a 'batch', which cannot be given here; give its sensors, or "
+                f"one of them: {names}"
             )
         return number
 

@@ -10,6 +10,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.scene.layout import BRIGHTNESS, MEDIUM, POSITIONS, SHAPE_GRID, Parameter
+from warp_psdr.scene.poses import Local
 
 
 @dataclass(frozen=True)
@@ -17,7 +18,12 @@ class State:
     """What edits of a scene change: its values, and the object-space geometry of posed shapes."""
 
     values: np.ndarray
-    local: dict[int, tuple[wp.array, wp.array]]
+    local: dict[int, Local]
+
+    def __reduce__(self):
+        """Return the state with arrays of NumPy, which other processes take."""
+        local = {k: v if isinstance(v, np.ndarray) else tuple(a.numpy() for a in v) for k, v in self.local.items()}
+        return State, (self.values, local)
 
 
 def has_results(p: Parameter) -> bool:

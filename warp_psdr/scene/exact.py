@@ -1,7 +1,7 @@
-"""Shapes without triangles: how they are described, and their points.
+"""Shapes without triangles: their description, and their points.
 
-In place of vertices such a shape has the corners of a box around it, which move with it: whatever asks how large a
-scene is, and where, finds them among the points of the scene. No triangle has them, and no parameter is them.
+In place of vertices such a shape has the corners of a box around it, which move with it. Code that asks how large a
+scene is, and where, finds these corners among the points of the scene. No triangle and no parameter uses them.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def update_record(scene: Scene, shape: int) -> None:
     Raises:
         ValueError: its pose has no inverse.
     """
-    pose, s = scene.pose_offsets(shape)[0], scene.description.shapes[shape]
+    pose, s = scene.poses.offsets(shape)[0], scene.description.shapes[shape]
     # Of curves the record holds a box around them.
     pose = scene.builder.curves.get(shape, pose)
     reason = "" if s.curves is not None else singular(scene.values[pose : pose + 16].numpy().reshape(4, 4))

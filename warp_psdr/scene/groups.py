@@ -1,8 +1,8 @@
-"""Shapes made of shapes: groups, their instances, and merged ones.
+"""Shapes made of shapes: groups, their instances, and merged shapes.
 
-An instance is flattened on load: each shape of its group is copied to where ``to_world`` puts it. The copies share
-the values of the shape in the group: its vertices, which are in the group's space, have one name, and so do the
-matrices, one an instance. What is in the world is derived from both (``derived_values``).
+An instance is flattened on load: each shape of its group is copied to where ``to_world`` puts it. The copies share the
+values of the shape in the group: its vertices, in the group's space, have one name, and each instance's matrix has one.
+World-space values are derived from both (``derived_values``).
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
-"""Copies of shapes of groups: how they follow the shape, and how derivatives go back to it.
+"""Copies of the shapes of groups: their vertices as a function of the original, and both directions of the derivative.
 
-A copy's position is x = M p + t, of the vertex p of the group's shape and the pose of the instance; its normal is
-normalize(M^-T n). So the adjoint of p is the sum of M^T dx over the copies (``kernels/shape/transform.py``). Normals n
-that follow from the vertices do so in the group's space, as in Mitsuba.
+A copy's position is x = M p + t, with the vertex p of the group's shape and the pose of the instance; its normal is
+normalize(M^-T n). The adjoint of p is therefore the sum of M^T dx over the copies (``kernels/shape/transform.py``).
+Normals n that follow from the vertices do so in the group's space, as in Mitsuba.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class Instances:
             count = len(p.description.vertices)
             sums = [wp.zeros(3 * count, dtype=wp.float64, device=device) for _ in range(2)]
             for shape in p.copies:
-                inputs = [scene.values, *scene.local_geometry(shape), *scene.pose_offsets(shape), grad]
+                inputs = [scene.values, *scene.poses.local(shape), *scene.poses.offsets(shape), grad]
                 launch(local_shape_vjp, dim=count, inputs=inputs, outputs=sums, device=device)
             for total, offset in zip(sums, (p.positions, p.normals), strict=True):
                 if offset >= 0:
@@ -155,6 +155,6 @@ class Instances:
                 inputs = [normals, sums, p.normals]
                 launch(normalization_jvp, dim=count, inputs=inputs, outputs=[tangent], device=device)
             for shape in p.copies:
-                inputs = [scene.values, *scene.local_geometry(shape), *scene.pose_offsets(shape)]
+                inputs = [scene.values, *scene.poses.local(shape), *scene.poses.offsets(shape)]
                 inputs += [p.positions, p.normals]
                 launch(local_shape_jvp, dim=count, inputs=inputs, outputs=[tangent], device=device)

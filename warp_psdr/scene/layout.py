@@ -1,7 +1,7 @@
 """The flat array of all continuous values of a scene, and the list of its named parameters.
 
-One float32 array holds every vertex, normal, texel, matrix and constant. A parameter is a named stretch of it, seen
-through a Warp array of its natural shape; gradients and tangents are arrays of the same layout.
+One float32 array holds every vertex, normal, texel, matrix and constant. A parameter is a named slice of it, seen
+through a Warp array of its natural shape. Gradients and tangents are arrays of the same layout.
 """
 
 from __future__ import annotations

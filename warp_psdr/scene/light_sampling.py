@@ -1,8 +1,8 @@
-"""Distributions that lights are sampled from, as cumulative arrays for ``kernels/distribution.py``.
+"""Distributions for the sampling of lights, as cumulative arrays for ``kernels/distribution.py``.
 
-Cumulative values are multiples of 2^-24, like the random numbers. So an entry is drawn exactly with the probability
-``cdf[i + 1] - cdf[i]`` that the device reads, and an entry of positive weight, however small, keeps a probability of at
-least 2^-24.
+Cumulative values are multiples of 2^-24, like the random numbers. An entry is therefore drawn exactly with the
+probability ``cdf[i + 1] - cdf[i]`` that the device reads, and an entry of positive weight, however small, keeps a
+probability of at least 2^-24.
 """
 
 from __future__ import annotations

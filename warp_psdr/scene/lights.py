@@ -1,4 +1,4 @@
-"""What lights are sampled from: selection by power, cumulative triangle areas, and the environment map's cells."""
+"""The data for light sampling: selection by power, cumulative triangle areas, and the environment map's cells."""
 
 from __future__ import annotations
 

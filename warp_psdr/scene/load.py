@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
+import importlib
 import warnings
 from typing import TYPE_CHECKING
 
 import warp as wp
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from warp_psdr.scene.description import SceneDescription
     from warp_psdr.scene.scene import Scene
 
-#: Called with a scene that is being loaded, where its kernels are not in the cache (``Scene``, ``ahead``).
-ahead: list[Callable[[Scene], None]] = []
 #: Notes on a scene that are warned of one by one; ``scene.description.notes`` has all.
 MOST_WARNINGS = 20
 
@@ -78,7 +75,7 @@ def _load(description: SceneDescription, device: str | wp.Device | None) -> Scen
     """Build a scene, and warn of its notes at the line that loads it."""
     from warp_psdr.scene.scene import Scene
 
-    scene = Scene(description, device, ahead)
+    scene = Scene(description, device, (_image_ahead,))
     notes = scene.description.notes
     for note in notes[:MOST_WARNINGS]:
         warnings.warn(note, SceneWarning, stacklevel=3)
@@ -86,3 +83,11 @@ def _load(description: SceneDescription, device: str | wp.Device | None) -> Scen
         more = f"{len(notes) - MOST_WARNINGS} more remarks on the scene: see scene.description.notes"
         warnings.warn(more, SceneWarning, stacklevel=3)
     return scene
+
+
+def _image_ahead(scene: Scene) -> None:
+    """Begin to compile the image's kernel, where those of the scene are not in the cache, either.
+
+    By name: ``estimate`` lies above the scene, and loads most of the device code.
+    """
+    importlib.import_module("warp_psdr.estimate.compile").image_ahead(scene)

@@ -1,4 +1,4 @@
-"""Participating media and their phase functions (``volumes.py`` has their coefficients)."""
+"""Participating media and their phase functions (``volumes.py`` reads their coefficients)."""
 
 from __future__ import annotations
 

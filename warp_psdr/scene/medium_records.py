@@ -1,4 +1,4 @@
-"""Device records of media and of their grids, and where the values of both are laid out."""
+"""Device records of media and of their grids, and the layout of their values."""
 
 from __future__ import annotations
 

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 
-from warp_psdr import compiler
 from warp_psdr.device import launch
 from warp_psdr.kernels.medium.nanovdb import dense_floats, dense_vectors
+from warp_psdr.startup import start_warp
 
 from .volume_files import MOST_VALUES
 
@@ -30,7 +30,7 @@ def read_nvdb(file: Path) -> tuple[np.ndarray, np.ndarray]:
         ValueError: it is none, is compressed by what is not installed, has values that are neither floats nor
             3-vectors, holds nothing but zeros, or spans more than ``MOST_VALUES`` values.
     """
-    compiler.start_warp()
+    start_warp()
     try:
         volume = wp.Volume.load_from_nvdb(file.read_bytes(), device="cpu")
     except Exception as problem:  # also struct.error and zlib.error, of what is cut off

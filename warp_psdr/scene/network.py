@@ -1,4 +1,4 @@
-"""Shapes that are the zero set of a network: how they are read and laid out (``kernels/primitive/network.py``)."""
+"""Shapes that are the zero set of a network: the reader and the layout (``kernels/primitive/network.py``)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""What a network of signed distances can be in boxes: where its surface may pass, and how it bends there.
+"""Bounds of a network of signed distances in boxes: where its surface may pass, and its greatest second derivative.
 
-In a box with the centre c the numbers z of each layer are known with their gradients at c. Followed forwards are how
-far those gradients change in the box, and what their linear part misses: bounds of the arguments of the activations and
-of their derivatives. Followed backwards are the slopes of phi by what each activation gives, and how far they change.
-Slopes keep their signs, so that bounds of phi and of its second derivatives tighten as boxes shrink.
+In a box with the centre c the values z of each layer are known, with their gradients at c. A pass forwards bounds how
+far those gradients change in the box, and the remainder of their linear part: these bound the arguments of the
+activations and of their derivatives. A pass backwards bounds the slopes of phi by each activation's value, and their
+change. Slopes keep their signs, so that bounds of phi and of its second derivatives tighten as boxes shrink.
 
 Derivation: ``docs/theory/implicit.md#networks``.
 """

@@ -1,6 +1,6 @@
-"""Where the device's coordinates start: the world's origin, or a point near a scene that is far away from it.
+"""The origin of the device's coordinates: the world's origin, or a point near a scene that is far away from it.
 
-The device holds x - o in float32, with o near the centre of a scene that lies far away from the world's origin,
+The device holds x - o in float32. If a scene lies far away from the world's origin, o is near its centre and is
 subtracted in float64 on load. Parameters stay in world coordinates, and so do their gradients and tangents.
 
 Derivation: ``docs/theory/numerics.md#origins-near-the-scene``.

@@ -1,4 +1,4 @@
-"""The values of a scene by name: read, written, and asked for derivatives."""
+"""The named values of a scene: reading, writing, and requests for derivatives."""
 
 from __future__ import annotations
 
@@ -103,14 +103,18 @@ def check_independent(scene: Scene, names: Iterable[str]) -> None:
 class Parameters(Mapping):
     """Named views onto the values of a scene.
 
-    Reading gives the live array; ``params[name] = values`` copies into it. After any edit, call ``update``.
+    Reading gives the live array; ``params[name] = values`` copies into it. The next call that renders follows all
+    edits; ``update`` does so at once.
     """
 
     def __init__(self, scene: Scene):
         self._scene = scene
         self._views = {name: scene.view(name) for name in scene.parameters}
         self._requested: list[str] = []
-        self._dirty: set[str] = set()
+
+    def __reduce__(self):
+        """Return what a copy, or another process, makes the same parameters of; gradients stay behind."""
+        return _traversed_again, (self._scene, self._requested)
 
     def __getitem__(self, name: str) -> wp.array:
         self._parameter(name)
@@ -140,7 +144,7 @@ class Parameters(Mapping):
         return html.table(("parameter", "type", "shape", "acts on", "gradient"), rows)
 
     def __setitem__(self, name: str, values) -> None:
-        """Copy new values in; ``update`` makes the scene follow.
+        """Copy new values in; the scene follows with ``update``, or with the next call that renders.
 
         Args:
             name: a parameter's name.
@@ -153,7 +157,7 @@ class Parameters(Mapping):
         # What is single precision already is compared with what is there in single precision, and kept where equal.
         single = isinstance(values, wp.array) or getattr(values, "dtype", None) == np.float32
         self._scene.place(name, self.check(name, values, "value", np.float32 if single else np.float64))
-        self._dirty.add(name)
+        self._scene.pending.add(name)
 
     def check(self, name: str, values, what: str, dtype: type = np.float32) -> np.ndarray:
         """Return ``values`` as float32 (or ``dtype``) in the parameter's NumPy shape.
@@ -196,9 +200,7 @@ class Parameters(Mapping):
         """
         for name in names:
             self._parameter(name)
-        changed = self._dirty.union(names or self._scene.edited())
-        self._scene.refresh([n for n in self._views if n in changed])
-        self._dirty.clear()
+        self._scene.settle(names)
 
     def requires_grad(self, *patterns: str) -> None:
         """Ask for derivatives of these parameters, beside those that were asked for before; nothing else is paid for.
@@ -266,3 +268,9 @@ class Parameters(Mapping):
 
     def _parameter(self, name: str) -> Parameter:
         return parameter_of(self._scene, name)
+
+
+def _traversed_again(scene: Scene, requested: list[str]) -> Parameters:
+    params = Parameters(scene)
+    params.requires_grad(*requested)
+    return params

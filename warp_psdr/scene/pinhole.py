@@ -1,4 +1,4 @@
-"""What pinhole cameras and projectors share: a rigid pose and a field of view."""
+"""The common part of pinhole cameras and projectors: a rigid pose and a field of view."""
 
 from __future__ import annotations
 

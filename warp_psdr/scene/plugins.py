@@ -1,4 +1,4 @@
-"""What is supported, and typed access to a plugin's parameters with messages that name the place."""
+"""The supported plugins, and typed access to a plugin's parameters with messages that name the place."""
 
 from __future__ import annotations
 

@@ -1,13 +1,13 @@
-"""How much light passes a rough dielectric coat: the table of ``roughplastic``, and its derivatives.
+"""The transmittance of a rough dielectric coat: the table of ``roughplastic``, and its derivatives.
 
 With visible normals m of density D G_1(wi) <wi, m> / cos(wi), reflected or refracted into wo,
 
     R(wi) = E[ F(<wi, m>) G_1(wo) ],   T(wi) = E[ (1 - F(<wi, m>)) G_1(wo) ],
 
-by Gauss-Legendre quadrature over the unit square that the normals are sampled from. The table holds T seen from
-outside at ``RESOLUTION`` cosines, linear between them, and one number for what light from the base meets from below,
-2 mean(cos R). Nodes, their number, the sampling of normals and the plain mean are Mitsuba's, whose values the model
-has.
+by Gauss-Legendre quadrature over the unit square from which the normals are sampled. The table holds T from outside at
+``RESOLUTION`` cosines, linear between them, and one number for the reflectance that light from the base meets from
+below, 2 mean(cos R). Nodes, their number, the sampling of normals and the plain mean are Mitsuba's, so that the model
+has Mitsuba's values.
 
 Derivation: ``docs/theory/materials.md#rough-plastic``.
 """

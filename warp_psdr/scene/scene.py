@@ -1,4 +1,4 @@
-"""A scene on a device: records for the kernels, and what has to be refreshed when values change."""
+"""A scene on a device: records for the kernels, and their update when values change."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from warp_psdr.kernels import structs
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM
-from warp_psdr.kernels.shape.transform import pose_shape
 from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.structs import Media, Medium
 from warp_psdr.kernels.surface import update_triangles
@@ -31,6 +30,7 @@ from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, P
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.network import follow_networks
 from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.poses import Poses
 from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
@@ -39,6 +39,7 @@ from warp_psdr.scene.sunsky import follow_sky
 from warp_psdr.scene.super_grid import rebuild
 from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
+from warp_psdr.startup import device_named
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -85,12 +86,13 @@ class Scene:
             device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
             ahead: called with this scene where its own kernels have to be compiled, to begin others beside them.
         """
-        compiler.start_warp()
+        self.device = device_named(device)
         self.description = description
-        self.device = wp.get_device(device)
         builder = Builder(description)
         self.builder = builder
         self.invalid = Ledger()
+        #: Parameters that were assigned since the scene followed them.
+        self.pending: set[str] = set()
         self._unfinished: list[str] = []
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
@@ -110,13 +112,8 @@ class Scene:
         self._orientation = wp.array(
             np.array([s.orientation for s in builder.shapes] or [1.0], np.float32), dtype=wp.float32, device=self.device
         )
-        self._local = {
-            i: (self._vectors(s.local_vertices), self._vectors(s.local_normals))
-            for i, s in enumerate(description.shapes)
-            if s.to_world is not None and s.prototype is None
-        }
         self.instances = Instances(self)
-        self._local |= self.instances.local_geometry()
+        self.poses = Poses(self)
         records = max(self.face_count + len(builder.primitives), 1)
         self.triangles = wp.zeros(records, dtype=structs.Triangle, device=self.device)
         self._shapes = struct_array(structs.Shape, builder.shapes, self.device)
@@ -134,8 +131,7 @@ class Scene:
         for begin in ahead if compiler.begin([update_triangles], self.device) else ():
             begin(self)
         compiler.begin(self.accelerator.kernels(), self.device)
-        for shape in self._local:
-            self._pose(shape)
+        self.poses.apply_all()
         self._trees = Trees(self)
         self._update_triangles(range(len(description.shapes)))
         self.accelerator.rebuild()
@@ -172,15 +168,9 @@ class Scene:
         return summary(self)
 
     def __reduce_ex__(self, _protocol: Any):
-        """Refuse copies.
-
-        Raises:
-            TypeError: always.
-        """
-        raise TypeError(
-            "a scene holds memory of its device: it can neither be copied nor pickled. Load it once more, or keep "
-            "{name: array.numpy() for name, array in psdr.traverse(scene).items()}"
-        )
+        """Return what a copy, or another process, makes the same scene of: its description and its values."""
+        self.settle()
+        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, self.state())
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -275,6 +265,12 @@ class Scene:
         """Return the names of the parameters that were edited in place and have to be refreshed."""
         return self._edits.found()
 
+    def settle(self, names: Iterable[str] = ()) -> None:
+        """Follow all edits; ``names``: what was edited in place, else checksums tell."""
+        changed = self.pending.union(names or self.edited())
+        self.refresh([name for name in self.parameters if name in changed])
+        self.pending.clear()
+
     def refresh(self, names: list[str]) -> None:
         """Recompute what depends on the named parameters, and on those of a call before that failed.
 
@@ -294,7 +290,7 @@ class Scene:
 
     def state(self) -> State:
         """Return a copy of all that edits change, for ``restore``."""
-        return State(self.values.numpy().copy(), dict(self._local))
+        return State(self.values.numpy().copy(), self.poses.state())
 
     def restore(self, state: State) -> None:
         """Go back to a state of this scene, to the bit; what was edited since and is not refreshed is lost."""
@@ -304,7 +300,7 @@ class Scene:
             for p in self.parameters.values()
             if not np.array_equal(held[p.offset : p.offset + p.size], state.values[p.offset : p.offset + p.size])
         ]
-        self._local = dict(state.local)
+        self.poses.restore(state.local)
         if changed:
             self.values.assign(state.values)
             self._world.show(changed)
@@ -320,7 +316,7 @@ class Scene:
         posed |= self.instances.follow(changed, posed)
         moved = posed | placed
         for shape in sorted(posed):
-            self._pose(shape, shape not in shaded)
+            self.poses.apply(shape, shape not in shaded)
         followed = [f"{self.description.shapes[i].path}.vertex_positions" for i in sorted(posed)]
         followed = [name for name in followed if name in self.parameters] + self.instances.followed(names)
         self._world.show(self.parameters[name] for name in followed)
@@ -328,8 +324,8 @@ class Scene:
             description = self.description.shapes[shape]
             if description.normals_computed and shape not in shaded:
                 self.normal_sums(shape, write=True)
-        for shape in sorted((placed | shaded) & self._local.keys()):
-            self._take_local(shape)
+        for shape in sorted(s for s in placed | shaded if s in self.poses):
+            self.poses.take(shape)
         self._renew([*changed, *(self.parameters[name] for name in followed)])
 
     def _renew(self, changed: list[Parameter]) -> None:
@@ -360,50 +356,6 @@ class Scene:
         if brighter or areas or (moved and self.lights.depend_on_size()):
             self.lights.update_selection(values, self.radius)
         self._edits.follow(p.name for p in changed)
-
-    def _pose(self, shape: int, with_normals: bool = True) -> None:
-        record = self.builder.shapes[shape]
-        to_world, positions, normals = self.pose_offsets(shape)
-        launch(
-            pose_shape,
-            dim=record.vertex_count,
-            inputs=[*self._local[shape], to_world, positions, normals if with_normals else -1],
-            outputs=[self.values],
-            device=self.device,
-        )
-
-    def _take_local(self, shape: int) -> None:
-        """Let the object-space geometry of a posed shape follow its vertices and normals in the world."""
-        to_world, positions, normals = self.pose_offsets(shape)
-        matrix = self._stretch(to_world, 16).reshape(4, 4)
-        linear, size = matrix[:3, :3], 3 * self.builder.shapes[shape].vertex_count
-        try:
-            inverse = np.linalg.inv(linear)
-        except np.linalg.LinAlgError:
-            path = self.description.shapes[shape].path
-            raise ValueError(
-                f"{path}.to_world has no inverse, so what it moves cannot be edited; set a pose that has one first"
-            ) from None
-        local_positions = (self._stretch(positions, size).reshape(-1, 3) - matrix[:3, 3]) @ inverse.T
-        local_normals = None
-        if normals >= 0:
-            local_normals = self._stretch(normals, size).reshape(-1, 3) @ linear
-            local_normals /= np.maximum(np.linalg.norm(local_normals, axis=1, keepdims=True), np.finfo(float).tiny)
-        self._local[shape] = (self._vectors(local_positions), self._vectors(local_normals))
-
-    def _stretch(self, offset: int, size: int) -> np.ndarray:
-        return self.values[offset : offset + size].numpy().astype(np.float64)
-
-    def pose_offsets(self, shape: int) -> tuple[int, int, int]:
-        """Flat offsets of a posed shape's matrix, of its first position and of its first normal (-1: flat)."""
-        record = self.builder.shapes[shape]
-        to_world = self.parameters[self.builder.pose_of[shape]].offset
-        normals = record.normal_offset + 3 * record.first_vertex if record.smooth else -1
-        return to_world, self.positions + 3 * record.first_vertex, normals
-
-    def local_geometry(self, shape: int) -> tuple[wp.array, wp.array]:
-        """Object-space vertices and normals of a posed shape."""
-        return self._local[shape]
 
     def normal_sums(self, shape: int, *, write: bool) -> wp.array:
         """Return the unnormalised vertex normals of a shape; ``write``: update its normals from them."""
@@ -481,12 +433,12 @@ class Scene:
 
     def derived_normals(self, names: list[str]) -> list[int]:
         """Shapes whose normals follow their positions and whose positions, or pose, are among the named parameters."""
-        shapes = set()
-        for name in names:
-            p = self.parameters[name]
-            if POSITIONS in p.uses and p.prototype < 0 and self.description.shapes[p.owner].normals_computed:
-                shapes.add(p.owner)
-        return sorted(shapes)
+        named = [self.parameters[name] for name in names]
+        shapes = {p.owner for p in named if POSITIONS in p.uses and p.prototype < 0}
+        shapes |= {
+            s for p in named if SHAPE_POSE in p.uses for s in p.owners if self.description.shapes[s].prototype is None
+        }
+        return sorted(s for s in shapes if self.description.shapes[s].normals_computed)
 
     def has_use(self, names: list[str], *uses: str) -> bool:
         """Whether any of the named parameters has one of the uses."""
@@ -496,3 +448,11 @@ class Scene:
         """Whether shading normals depend on any of the named parameters."""
         derived = self.derived_normals(names) or self.instances.derived_normals(names)
         return self.has_use(names, NORMALS, SHAPE_POSE) or bool(derived)
+
+
+def _loaded_again(description: SceneDescription, device: str, contact_ratio: float, state: State) -> Scene:
+    """Return a scene with the values of another one, which may have lived in another process."""
+    scene = Scene(description, device)
+    scene.contact_ratio = contact_ratio
+    scene.restore(state)
+    return scene

@@ -1,4 +1,4 @@
-"""Shapes that are the zero set of a grid of signed distances: how they are read (``kernels/primitive/sdfgrid.py``)."""
+"""Shapes that are the zero set of a grid of signed distances: the reader (``kernels/primitive/sdfgrid.py``)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a scene's interpolated normals say anything that its triangles do not."""
+"""Whether a scene's interpolated normals differ from those of its triangles."""
 
 from __future__ import annotations
 

@@ -26,6 +26,9 @@ from .transforms import Transform, transform_normals, transform_points
 if TYPE_CHECKING:
     from .context import Context
 
+#: A mesh has a pose where its vertices are no farther than so many of its extents from the origin of its own
+#: coordinates: float32 keeps their digits.
+FARTHEST = 1.0e3
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
 _FLIP_TEX_COORDS = ("obj", "gltf", "glb")
@@ -111,7 +114,15 @@ def _triangles(
         shape.to_world = to_world.astype(np.float32)
         shape.local_vertices = data.vertices.astype(np.float32)
         shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
+    elif _has_pose(to_world, shape.vertices):
+        shape.to_world = to_world.astype(np.float32)
     return shape
+
+
+def _has_pose(to_world: np.ndarray, vertices: np.ndarray) -> bool:
+    """Return whether a mesh's own coordinates can be found from the world's, with their digits."""
+    extent = float(np.ptp(vertices, axis=0).max())
+    return float(np.abs(vertices - to_world[:3, 3]).max()) <= FARTHEST * extent
 
 
 def _refuse_beside_exact(

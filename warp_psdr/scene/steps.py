@@ -1,6 +1,6 @@
-"""Scenes of mixed scales: which shapes are small for their world, and what vast triangles touch them.
+"""Scenes of mixed scales: shapes that are small for their world, and vast triangles that touch them.
 
-See ``kernels/step.py`` for the steps themselves.
+``kernels/step.py`` has the steps themselves.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What follows edits of media: majorants of grids, integrals of tables of phase functions, checks of microflakes.
+"""Values that follow edits of media: majorants of grids, integrals of tables of phase functions, checks of microflakes.
 
 A majorant is the largest value in a cell of 8^3 voxels (``kernels/medium/majorant.py``).
 """

@@ -1,8 +1,9 @@
 """Tables of materials: numbers that device code reads and that follow from a material's values.
 
 A model declares a ``Table`` (``warp_psdr/kernels/bsdf/model.py``); ``MAKERS`` has the function that fills it. Tables
-lie among the scene's values, unnamed. Before every launch ``follow`` compares the values that each was made from with
-those of now, whatever changed them: a table never belongs to other values than the kernels read beside it.
+lie among the scene's values, unnamed. Before every launch ``follow`` compares the current values with those that each
+table was made from, whatever changed them. A table therefore always belongs to the values that the kernels read beside
+it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Device records of textures, and where their values are laid out."""
+"""Device records of textures, and the layout of their values."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where volumes of textures and grids of media are: a pose M (``to_world``), and W = M^-1, by which kernels read them.
+"""Poses of volume textures and of grids of media: a pose M (``to_world``), and W = M^-1, by which kernels read them.
 
 The derivative of W is -W dM W, so an adjoint A of W is -W^T A W^T of M.
 """

@@ -1,4 +1,4 @@
-"""Volumes: what the coefficients of media are given by, constants and grids of voxels."""
+"""Volumes: constants and grids of voxels, which give the coefficients of media."""
 
 from __future__ import annotations
 

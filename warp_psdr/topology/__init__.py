@@ -1,1 +1,1 @@
-"""What the meshes of a scene are made of: edges, welded vertices, curves of intersection, patches, contacts."""
+"""The topology of a scene's meshes: edges, welded vertices, curves of intersection, patches, contacts."""

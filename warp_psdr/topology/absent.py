@@ -1,4 +1,4 @@
-"""Surfaces that are not there (Mitsuba's ``null``, the bounds of media), which hide nothing."""
+"""Interfaces of media (Mitsuba's ``null``), which hide nothing."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Lights of no area all of whose light meets mirrors or glass first, so that no path from the camera finds any of it.
+"""Lights of no area all of whose light meets mirrors or glass first, so that no camera path finds any of it.
 
-Rays that leave a light, spread evenly over what it lights, are followed to the first surface: an answer by samples,
-asked once of a scene, as it is then.
+Rays that leave a light, spread evenly over what it lights, are followed to the first surface. The answer rests on these
+samples, and is computed once for a scene, as it is then.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Surfaces that a camera's clip planes cut in sight of the film: borders that move, and that no edge stands for."""
+"""Surfaces that a camera's clip planes cut in sight of the film: moving borders without an edge."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Surfaces that touch: which motions of theirs have a derivative.
+"""Surfaces that touch, and which of their motions have a derivative.
 
-Where shapes touch, motions along the contact, and those that keep together what touches, have a derivative: n . v = 0
-where an edge lies inside of a face, v parallel to t where it lies on another edge. Others have two one-sided ones.
+Where shapes touch, two kinds of motion have a derivative: motions along the contact, and motions that keep together
+what touches. Along the contact means n . v = 0 where an edge lies inside of a face, and v parallel to t where it lies
+on another edge. Other motions have two one-sided derivatives.
 
 Derivation: ``docs/theory/boundary.md#motions-at-contacts``.
 """

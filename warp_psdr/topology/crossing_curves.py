@@ -1,9 +1,9 @@
-"""Curves in which shapes without triangles and triangles run through each other: chords, for ``boundary/crossing``.
+"""Curves of intersection between shapes without triangles and triangles: chords, for ``boundary/crossing``.
 
 In the coordinates of such a shape its surface is phi = 0. Triangles are cut in four until their sides are short for the
-shape; parts that the surface does not come near are dropped. Of a small triangle whose corners differ in the sign of
-phi two sides have a root, and the chord between the two stands for the curve. Sides that triangles share have equal
-roots, so that chords join. Loops within one small triangle are missed.
+shape, and parts far from the surface are dropped. If the corners of a small triangle differ in the sign of phi, two of
+its sides have a root, and the chord between the two stands for the curve. Sides that triangles share have equal roots,
+so chords join. Loops within one small triangle are missed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Shapes without triangles as fields phi, whose curves with triangles ``crossing_curves.py`` looks for."""
+"""Shapes without triangles as fields phi, for the search of curves of intersection in ``crossing_curves.py``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves in which two exact shapes run through each other: chords, as those of ``crossing_curves.py``.
+"""Curves of intersection between two exact shapes: chords, as those of ``crossing_curves.py``.
 
 Small triangles whose corners lie on one shape, and which are projected onto it, take the place of those of a mesh.
 """

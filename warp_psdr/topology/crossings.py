@@ -1,4 +1,4 @@
-"""All curves in which shapes without triangles and other surfaces run through each other, on the device."""
+"""All curves of intersection between shapes without triangles and other surfaces, on the device."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The edges of a scene with media: those of surfaces that are there."""
+"""The edges of a scene with media, those of interfaces left out."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ POINTS, STEPS = 512, 64
 
 def pose(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray]:
     """Return A (3, 3) and b (3,) of a shape, in the device's coordinates."""
-    offset = scene.pose_offsets(shape)[0]
+    offset = scene.poses.offsets(shape)[0]
     matrix = scene.values.numpy()[offset : offset + 16].reshape(4, 4).astype(np.float64)
     return matrix[:3, :3], matrix[:3, 3]
 

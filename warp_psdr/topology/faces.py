@@ -1,4 +1,4 @@
-"""What the line search knows of the faces: which of them are one surface, and which edges they have."""
+"""The faces as the line search sees them: which of them are one surface, and which edges they have."""
 
 from __future__ import annotations
 

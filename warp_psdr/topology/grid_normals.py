@@ -1,7 +1,7 @@
 """Where the interpolated normals of a grid of signed distances may turn away from an eye that the surface faces.
 
 The normal of a point is a positive sum of those of eight voxels, each made of one of two slopes along each axis. The
-differences of values along the rows next to a voxel bound these, and interval arithmetic bounds n . (eye - x).
+differences of values along the rows next to a voxel bound these slopes. Interval arithmetic then bounds n . (eye - x).
 """
 
 from __future__ import annotations

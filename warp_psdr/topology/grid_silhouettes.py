@@ -1,9 +1,9 @@
-"""Where a grid of signed distances can be touched by segments: its items, and those of which an eye may see some.
+"""Where segments can touch a grid of signed distances: its items, and those whose silhouette an eye may see.
 
 An item is a face between two voxels, or a voxel, that the surface passes, numbered as in ``grid_points.py`` of the
 kernels. From an eye the silhouette lies where Psi = grad phi . (x - eye) is zero, or changes its sign across a face.
-Derivatives of phi along an axis are bilinear, so that the differences at the corners bound them, and interval
-arithmetic bounds Psi: what is left out has no silhouette.
+Derivatives of phi along an axis are bilinear, so the differences at the corners bound them, and interval arithmetic
+bounds Psi. Items that are left out have no silhouette.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Triangles whose interpolated normals do not lie on their own: which they are, and how they are drawn."""
+"""Triangles whose interpolated normals differ from their own, and the density by which they are drawn."""
 
 from __future__ import annotations
 

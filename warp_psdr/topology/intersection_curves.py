@@ -1,10 +1,10 @@
 """Curves along which surfaces run through each other: segments between pairs of triangles.
 
-A segment is what two triangles A and B have in common: on the line of their planes each of them covers an interval, and
-the segment is where the intervals overlap. What merely touches is left out, it is a contact and handled with the edges:
-a corner counts as below a plane only if it is so by more than the rounding of the vertices, and two shapes that touch
-(``topology/contacts.py``) and nowhere reach deeper into each other than the boundary term's rays start off an edge are
-in contact everywhere. So is a mesh that reaches no deeper into itself.
+A segment is the common part of two triangles A and B: on the line of their planes each covers an interval, and the
+segment is where the intervals overlap. Surfaces that merely touch are in contact and handled with the edges. A corner
+therefore counts as below a plane only if it is so by more than the rounding of the vertices. Two shapes that touch
+(``topology/contacts.py``), or a mesh that touches itself, are in contact everywhere if they nowhere reach deeper into
+each other than the boundary term's rays start off an edge.
 
 An edge of A may lie in the plane of B, as the equator of a ball that is half sunk into a floor. Then the triangle below
 that plane stands for the crossing, if the one on the other side of the edge lies above. (If A turns there, the curve

@@ -1,9 +1,9 @@
 """Rims of exact shapes that are no open edges: disks that close cylinders, and cylinders that stand on a surface.
 
-A disk's rim and a cylinder's that coincide are one edge of two surfaces, the disk's. A cylinder's rim that lies in a
-flat surface, which goes on on both sides, is no edge: the two surfaces meet as if the cylinder went on through the
-other, in a curve of intersection; a disk between the two is not seen. All holds for motions that keep what joins
-together.
+If a disk's rim and a cylinder's coincide, they are one edge of two surfaces, the disk's. If a cylinder's rim lies in a
+flat surface that continues on both sides, the rim is no edge: the two surfaces meet in a curve of intersection, as if
+the cylinder went on through the other; a disk between the two is not seen. Both hold for motions that keep together
+what joins.
 
 Derivation: ``docs/theory/implicit.md#rims-that-join``.
 """
@@ -189,7 +189,7 @@ def warn(scene: Scene, tangents: np.ndarray) -> None:
 def _velocity(scene: Scene, tangents: np.ndarray, shape: int, points: np.ndarray) -> np.ndarray:
     """Return the velocities (N, 3) of the material points of a shape at points (N, 3) of it."""
     if shape in scene.builder.primitives:
-        offset = scene.pose_offsets(shape)[0]
+        offset = scene.poses.offsets(shape)[0]
         linear, origin = pose(scene, shape)
         rate = tangents[offset : offset + 16].reshape(4, 4).astype(np.float64)
         return (points - origin) @ np.linalg.inv(linear).T @ rate[:3, :3].T + rate[:3, 3]

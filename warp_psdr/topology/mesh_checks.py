@@ -1,12 +1,10 @@
-"""Meshes and values that an optimisation ruins: found at the step at which it happens, and put back.
+"""Checks for meshes and values that an optimisation ruins, which are found at that step and put back.
 
-After a step too long for its gradient, vertices become NaN or infinite, triangles collapse to lines or points, or turn
-over within one step. Rendering goes on with all but the first (a collapsed triangle is missed by rays, one that has
-turned over shows its back), so that the loss alone tells late, or never.
-
-A triangle has collapsed when its area is below ``FLAT`` times its longest edge squared, and was not; it has flipped
-when its normal is more than a right angle from what it was after the last good step. Single ones do both in healthy
-runs; a tenth of a mesh at once is a step that cannot be trusted.
+After too long a step, vertices become NaN or infinite, triangles collapse to lines or points, or turn over. Rendering
+goes on in the last two cases (rays miss a collapsed triangle, and a flipped one shows its back), so that the loss tells
+late, or never. A triangle has collapsed when its area is below ``FLAT`` times its longest edge squared, and was not
+before. It has flipped when its normal is more than a right angle from that after the last good step. Single triangles
+do both in healthy runs; a tenth of a mesh at once is a step that cannot be trusted.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which triangle lies across the sides of a triangle: what a walk over a mesh needs."""
+"""The triangles across the sides of a triangle, for walks over a mesh."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""Where a network can be touched by segments: its cells that the surface may pass, and those that an eye may see so.
+"""Where segments can touch a network: the cells that its surface may pass, and those whose silhouette an eye may see.
 
 From an eye the silhouette lies where Psi = grad phi . (x - eye) is zero. The bound of the second derivatives in an
-eighth of a cell bounds how fast it changes, so that Psi in its middle tells: what is left out has none.
+eighth of a cell bounds how fast Psi changes there, so the value of Psi in the middle decides. Cells that are left out
+have no silhouette.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Edges that no segment between two path vertices, or a vertex and a light, passes: those of the scene's convex hull.
+"""Edges that no segment between two path vertices, or a vertex and a light, touches: those of the scene's convex hull.
 
-A segment that touches an edge has its ends on both sides of it. Where the directions across an edge to everything else
-lie within less than half a turn, no two of them are opposite: at the border of a floor, or of a lamp above all else.
+A segment that touches an edge has its ends on both sides of it. If the directions across an edge to everything else lie
+within less than half a turn, no two of them are opposite: at the border of a floor, or of a lamp above all else.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scenes in which nothing is hidden: shapes that see nothing but the sky, and rooms that are seen as a whole."""
+"""Scenes without occlusion: shapes that see nothing but the sky, and rooms that are seen as a whole."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The lengths over which light between surfaces varies: how wide their smooth patches are, and how much they bend."""
+"""The lengths over which light between surfaces varies: the width of their smooth patches, and their curvature."""
 
 from __future__ import annotations
 

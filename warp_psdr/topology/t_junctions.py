@@ -1,7 +1,7 @@
 """T-junctions: sides of triangles that are cut where a vertex of the same shape lies on them.
 
-Where one triangle's side ac meets two sides ab and bc of others, no pair of vertices matches, so all three would count
-as open edges: if the surface folds there, its silhouette would be estimated twice. With ac cut at b every piece has its
+If one triangle's side ac meets two sides ab and bc of others, no pair of vertices matches. All three would count as
+open edges, and where the surface folds, its silhouette would be estimated twice. With ac cut at b every piece has its
 counterpart, and is shared, or open, as the surface is. The piece ends in a vertex of the other side: b is taken to move
 with both. (If b moves away from ac, the surface gapes on one of the two sides: an image has no derivative there.)
 

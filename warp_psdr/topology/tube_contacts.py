@@ -1,7 +1,8 @@
 """Curves with a radius against the rest of a scene: what runs through them, and clip planes that cut them.
 
-A segment is looked at as cones between spheres along its axis; those at the ends of curves count as well, so that what
-comes closer to an open end than its radius counts as what runs through it. Meshes may (``tube_crossings.py``).
+A segment is approximated by cones between spheres along its axis. The spheres at the ends of curves count as well, so
+anything closer to an open end than its radius counts as running through it. Meshes may run through curves
+(``tube_crossings.py``).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Curves in which meshes run through tubes: chords, as those of ``crossing_curves.py``.
+"""Curves of intersection between meshes and tubes: chords, as those of ``crossing_curves.py``.
 
-A pair of a triangle and a segment that may meet is cut by itself, with the segment's own phi = |x - c(v)| - r(v) for
-the field. The place v is looked for a little beyond both ends, so that chords go on to where the next segment begins.
+Each pair of a triangle and a segment that may meet is cut by itself, with the segment's own field phi = |x - c(v)| -
+r(v). The position v is searched a little beyond both ends, so that chords continue to where the next segment begins.
 """
 
 from __future__ import annotations

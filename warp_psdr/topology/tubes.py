@@ -1,4 +1,4 @@
-"""Where curves with a radius can be touched by segments: the items of ``tube_points.py`` of the kernels."""
+"""Where segments can touch curves with a radius: the items of ``tube_points.py`` of the kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the host finds out about a scene, kept until one of its values changes."""
+"""Derived facts about a scene, kept until one of its values changes."""
 
 from __future__ import annotations
 

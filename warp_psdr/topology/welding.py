@@ -1,4 +1,4 @@
-"""Vertices at the same position count as one: found, and found again after they have moved."""
+"""Vertices at the same position count as one: found, and updated after they have moved."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What the boundary term does on edges and outlines, as plain arrays: its samples, and how densely edges are sampled.
+"""The samples of the boundary term on edges and outlines as plain arrays, and the density by which edges are sampled.
 
-For pictures, and to see what an estimator spends its samples on; ``draw_samples`` and ``draw_density`` draw them with
-pyvista.
+They are for pictures, and show what an estimator spends its samples on. ``draw_samples`` and ``draw_density`` draw them
+with pyvista.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Signed fields on surfaces as plain arrays: what ``warp_psdr.view.viewer`` draws, made without a renderer.
+"""Signed fields on surfaces as plain arrays, made without a renderer, for ``warp_psdr.view.viewer``.
 
 A field is a scalar at vertices, at faces, or at the texels of an image that texture coordinates spread over a mesh (an
-environment map over a sphere). Vector fields become arrows, and a scalar: their component along the vertex normal.
+environment map over a sphere). A vector field becomes arrows, and a scalar: its component along the vertex normal.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Shapes of any kind as triangles, and gradients by what defines them on their surface: what the viewer draws.
+"""Shapes of any kind as triangles, and gradients by their parameters on these surfaces, for the viewer.
 
-A pose and the weights of a network belong to no place of a surface: of gradients by them it is shown how the surface
-moves in a step along the gradient.
+A pose and the weights of a network belong to no place of a surface. Gradients by them are shown as the motion of the
+surface in a step along the gradient.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Curves with a radius as triangles, and gradients by their control points on them: what the viewer draws."""
+"""Curves with a radius as triangles, and gradients by their control points on them, for the viewer."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Curves in which a shape without triangles and another surface run through each other."""
+"""Curves of intersection between a shape without triangles and another surface."""

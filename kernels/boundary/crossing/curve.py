@@ -1,9 +1,8 @@
-"""Points of curves in which two surfaces A and B run through each other, one of them a shape without triangles.
+"""Points on the curve of intersection of two surfaces A and B, one of which is a shape without triangles.
 
-The host gives chords of the curve. A place on a chord is moved across it, in the plane with the chord's direction e for
-its normal, by Newton's steps to phi_A = phi_B = 0. Then dx/ds = t |e|^2 / (t . e), t the curve's tangent.
-
-Only n_A . x' and n_B . x' are given, those of the two surfaces, so that an adjoint in the plane of both normals is
+The host gives chords of the curve. Newton's steps move a point of a chord, in the plane with the chord's direction e
+for its normal, to phi_A = phi_B = 0. Then dx/ds = t |e|^2 / (t . e), where t is the tangent of the curve. Only the
+normal velocities n_A . x' and n_B . x' of the two surfaces are known, so an adjoint in the plane of both normals is
 split between them.
 
 Derivation: ``docs/theory/implicit.md#curves-of-intersection``.

@@ -1,4 +1,4 @@
-"""Primary boundary at curves of intersection: what a camera sees beside one is one surface here, the other there.
+"""Primary boundary at curves of intersection: the camera sees a different surface on each side of the curve.
 
 As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, along a curve that moves
 with both surfaces.

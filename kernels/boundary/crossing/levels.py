@@ -1,7 +1,7 @@
-"""Surfaces as level sets phi = 0 around a point: of triangles, affine shapes, grids of signed distances and curves.
+"""Surfaces as level sets phi = 0 near a point: triangles, affine shapes, grids of signed distances and curves.
 
-phi and its gradient are what Newton's steps to a curve of intersection need, and the sinks here scatter the adjoint of
-a point that moves with a surface along its normal: n . x' = -phi_pi / |grad phi|.
+Newton's steps to a curve of intersection need phi and its gradient. The sinks in this file scatter the adjoint of a
+point that moves with a surface along its normal: n . x' = -phi_pi / |grad phi|.
 
 Derivation: ``docs/theory/implicit.md#curves-of-intersection``.
 """

@@ -1,4 +1,4 @@
-"""The circle of a tube, or the sphere of a cone, that a place near a curve of intersection lies on the normal of.
+"""The circle of a tube, or the sphere of a cone, whose normal passes through a point near a curve of intersection.
 
 Derivation: ``docs/theory/implicit.md#curves-of-intersection``.
 """

@@ -1,9 +1,10 @@
-"""Path vertices on curves of intersection: where one surface passes through the other, what is seen of each ends.
+"""Secondary boundary at curves of intersection: path vertices where one surface passes through the other.
 
-Seen from x_1 along w, one side of the curve is A's and the other B's. With out the normal of the plane of curve and w
-that points away from A's part, A adds L_A out . (x_b' - x_A') and B the same with -out, x_k' the velocity of a path
-vertex of surface k at the curve: of a material point, or on grids, whose vertices slide along the segment, of what that
-is tied to at x_1. Which of the two it is, is drawn.
+Seen from x_1 along w, one side of the curve belongs to surface A and the other to B. Let out be the normal of the plane
+of curve and w that points away from A's part. Then A adds L_A out . (x_b' - x_A'), and B the same with -out. x_k' is
+the velocity of a path vertex of surface k at the curve: that of a material point, or on grids, whose vertices slide
+along the segment, that of the point of x_1's surface from which the segment starts (form S). The sample draws one of
+the two surfaces.
 
 Derivation: ``docs/theory/implicit.md#curves-of-intersection``.
 """

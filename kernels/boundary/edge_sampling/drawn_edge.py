@@ -1,6 +1,7 @@
-"""A point on a silhouette edge as a path vertex sees it, and the density that it was drawn with.
+"""A point on a silhouette edge as seen from a path vertex, and its density.
 
-With q = D(omega) sin(phi) / t_1^2 the mixture of lobes along the edge, pdf_l = q boost / scale per length.
+With q = D(omega) sin(phi) / t_1^2, where D is the mixture of lobes along the edge, the density per length is pdf_l = q
+boost / scale.
 
 Derivation: ``docs/theory/edge_sampling.md#edges-as-a-path-vertex-sees-them``.
 """

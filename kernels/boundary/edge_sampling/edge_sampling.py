@@ -1,8 +1,9 @@
-"""Unidirectional edge sampling [LADL18]: at every vertex of a camera path, a silhouette edge as the vertex sees it.
+"""Unidirectional edge sampling [LADL18]: silhouette edges as every vertex of a camera path sees them.
 
 With T_k the throughput up to vertex k and an edge point drawn by pdf_l, dI = sum_k T_k f_s(w_i, omega) L_2 sin(phi) n .
-( x_b' - (1 - tau) x_1' - tau x_2' ) / (t_1^2 pdf_l): an angular velocity times an element of the silhouette [LADL18,
-eq. 8 and 9]. Edges are resampled (``edge_tree.py``), from lobes about the scattering function and about a light.
+( x_b' - (1 - tau) x_1' - tau x_2' ) / (t_1^2 pdf_l). This is an angular velocity times an element of the silhouette
+[LADL18, eq. 8 and 9]. Edges are resampled (``edge_tree.py``) from lobes about the scattering function and about a
+light.
 
 Derivation: ``docs/theory/edge_sampling.md#edges-as-a-path-vertex-sees-them``.
 """

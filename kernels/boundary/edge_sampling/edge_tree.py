@@ -1,8 +1,8 @@
 """Choice of a silhouette edge as seen from a point: two hierarchies, split samples and resampling [LADL18, section 5].
 
-Edges are held by position (3-D) and by position and face planes (6-D, Hough space [OZ06]). Nodes without silhouettes
-are left out; the others share M samples in proportion to their estimated integrals, and of the edges reached one is
-kept in proportion to Q(e) / p(e), without bias.
+One hierarchy holds edges by position (3-D), the other by position and face planes (6-D, Hough space [OZ06]). Nodes
+without silhouettes are skipped. The other nodes share M samples in proportion to their estimated integrals, and one of
+the edges that are reached is kept in proportion to Q(e) / p(e), without bias.
 
 Derivation: ``docs/theory/edge_sampling.md#two-hierarchies``.
 """

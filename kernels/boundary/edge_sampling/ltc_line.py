@@ -1,7 +1,7 @@
-"""Integrals of lobes over edges: linearly transformed cosines along a line [HH17], as [LADL18] weigh edges with.
+"""Integrals of lobes over edges: linearly transformed cosines along a line [HH17], the weights of edges in [LADL18].
 
-The measure is q(l) dl = D(omega) sin(phi) / t^2 dl, D a clamped cosine in directions transformed by M; M maps lines to
-lines, so the integral over an edge has a closed form.
+The measure is q(l) dl = D(omega) sin(phi) / t^2 dl, where D is a clamped cosine in directions transformed by M. M maps
+lines to lines, so the integral over an edge has a closed form.
 
 Derivation: ``docs/theory/edge_sampling.md#lobes-along-a-line``.
 """

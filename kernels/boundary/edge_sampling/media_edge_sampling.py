@@ -1,9 +1,10 @@
 """Edge sampling in media: silhouette edges as the vertices of a camera path see them, on surfaces and in the medium.
 
-As ``edge_sampling.py``. A vertex in the medium has sigma_s f_p, whose sigma_s is in T_k, and no cosine, and L_2 is
-L_full, the radiance at x_1 of all of the ray past the occluder: dI = sum_k T_k f L_full sin(phi) n . ( x_b' - (1 - tau)
-x_1' - tau z_2' ) / (t_1^2 pdf_l). It rides on a fraction of the ray by which it was found, so paths are recorded and
-swept from their ends, and vertices hand adjoints on towards the camera.
+The estimator is that of ``edge_sampling.py`` with dI = sum_k T_k f L_full sin(phi) n . ( x_b' - (1 - tau) x_1' - tau
+z_2' ) / (t_1^2 pdf_l). A vertex in the medium has the phase function for f, without a cosine; its sigma_s is in T_k.
+L_full is the radiance at x_1 of the whole ray past the occluder, up to the surface z_2. A vertex rides on a fraction of
+the ray that found it. Paths are therefore recorded and swept from their ends, and each vertex hands part of its adjoint
+on towards the camera.
 
 Derivation: ``docs/theory/media.md#edges-seen-from-media``.
 """

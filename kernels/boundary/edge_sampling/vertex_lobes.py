@@ -1,7 +1,7 @@
 """The lobes by which a path vertex weighs edges: about its scattering or phase function, and about a light point.
 
-The light point is drawn as for next-event estimation. It is an auxiliary variable: whichever it is, the mixture is
-positive wherever light is scattered.
+The light point is drawn as for next-event estimation. It is an auxiliary variable: for any light point, the mixture of
+lobes is positive wherever light is scattered.
 
 Derivation: ``docs/theory/edge_sampling.md#edges-as-a-path-vertex-sees-them``.
 """

@@ -1,7 +1,7 @@
-"""A piecewise density over the unit cube of boundary segments: what k-d tree, octree and grid all are on the device.
+"""A piecewise density over the unit cube of boundary segments: the device form of k-d tree, octree and grid.
 
-A segment has the coordinates (u_0, u_1, u_2): the position on the edges, and a direction. The cube is split into leaves
-with linear densities; a share of the samples is uniform over the whole cube, without which there would be bias.
+A segment has the coordinates (u_0, u_1, u_2): its position on the edges and its direction. The cube is split into
+leaves with linear densities. A share of the samples is uniform over the whole cube, which keeps the estimate unbiased.
 
 Derivation: ``docs/theory/guiding.md#cells``.
 """

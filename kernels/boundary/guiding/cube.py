@@ -1,9 +1,9 @@
-"""The unit cube of segments that touch a shape without triangles: the numbers that their unguided sampler draws.
+"""The unit cube of segments that touch a shape without triangles: the random numbers of their unguided sampler.
 
-A segment has the coordinates (u_0, u_1, u_2): the item that is touched with a position on it, and a direction of its
-own or a point of a light. Each of these two techniques has cells. The weights of the techniques stay those of unguided
-sampling, so that a point of the cube needs no inverse: guiding divides what the unguided sampler would return there by
-the density of the cells.
+A segment has the coordinates (u_0, u_1, u_2): the item of the shape with a position on it, and a direction of its own
+or a point of a light. Each of these two techniques has cells. The weights between the techniques are those of unguided
+sampling, so a point of the cube needs no inverse: guiding divides the unguided result there by the density of the
+cells.
 
 Derivation: ``docs/theory/guiding.md#shapes-without-triangles``.
 """

@@ -1,8 +1,8 @@
-"""Ends of boundary segments at given points of the cube: where a grid asks its photon maps [ZMY*20, section 6.3].
+"""Ends of boundary segments at points of the cube, for which a grid looks up its photon maps [ZMY*20, section 6.3].
 
-With the radiance L_2 that leaves x_2 and the importance W_1 that leaves x_1 the integrand in the coordinates of a
-technique is W_1 L_2 ``scale``, scale = sin(phi) dl / du_0 over the mean of the densities of the two techniques, as in
-``boundary/path_space/secondary.py``. The maps give L_2 and W_1 but for what x_2 emits.
+With the radiance L_2 that leaves x_2 and the importance W_1 that leaves x_1, the integrand in the coordinates of a
+technique is W_1 L_2 ``scale``. Here scale is sin(phi) dl / du_0 over the mean of the densities of the two techniques,
+as in ``boundary/path_space/secondary.py``. The maps give W_1 and L_2, except the emission of x_2.
 """
 
 import functools

@@ -1,4 +1,4 @@
-"""For which share of the lights is an edge a silhouette? Needs no ray, and tells where guiding has to look."""
+"""The share of the lights for which an edge is a silhouette: tells guiding where to look, without a ray."""
 
 import functools
 

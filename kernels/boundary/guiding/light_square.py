@@ -1,12 +1,10 @@
 """Points of light sources as points of the unit square, and back: the coordinates of the technique "light".
 
-u_1 chooses the emitter by its selection probability; what is left of it chooses, at an area light, a triangle by its
-area, and what is left again is one of two coordinates, u_2 the other, of the stripe of that triangle for which the edge
-is a silhouette (``stripe.py``). Of an exact shape that shines they are those of its own sampling
-(``primitive/shining.py``), whatever the edge. At an environment what is left of
-u_1 and u_2 are the coordinates of its own sampling. A point, spot or directional light has no further freedom. u_1 is
-double precision throughout: behind 10^4 triangles a float would have ten bits left. The inverse is needed where a
-direction that was drawn otherwise has to be weighted against this technique.
+u_1 chooses the emitter by its selection probability. At an area light, the remainder of u_1 chooses a triangle by its
+area, and the next remainder and u_2 are coordinates on the stripe of that triangle for which the edge is a silhouette
+(``stripe.py``). Exact shapes and environments have the coordinates of their own sampling (``primitive/shining.py``),
+whatever the edge. Point, spot and directional lights have no further freedom. u_1 is double precision throughout:
+behind 10^4 triangles a float would have ten bits left. The inverse map weighs a direction that another technique drew.
 """
 
 import functools

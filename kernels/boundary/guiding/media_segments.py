@@ -1,7 +1,7 @@
-"""Segments of camera paths through media that a surface stops: what projective sampling projects [ZRJ23, section 4].
+"""Segments of camera paths through media that end on a surface: projective sampling projects them [ZRJ23, section 4].
 
-As ``path_segments.py``: rays start on surfaces and where light is scattered in a medium, and end at the first surface
-that is there.
+As in ``path_segments.py``, but rays start on surfaces and at points that scatter in a medium. They end at the first
+surface that is not an interface of a medium.
 
 Derivation: ``docs/theory/guiding.md#projected-path-segments``.
 """

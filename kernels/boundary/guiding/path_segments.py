@@ -1,7 +1,7 @@
-"""Segments of camera paths that a surface stops: what projective sampling projects [ZRJ23, section 4].
+"""Segments of camera paths that end on a surface: projective sampling projects them [ZRJ23, section 4].
 
-One segment a path, in proportion to what it would carry: rays towards light points that something hides, or rays that
-were scattered. ``media_segments.py`` has those of paths through media.
+Each path gives one segment, drawn in proportion to what it would carry: a ray towards a light point that is occluded,
+or a scattered ray. ``media_segments.py`` treats paths through media.
 """
 
 import functools

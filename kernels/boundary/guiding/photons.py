@@ -1,8 +1,8 @@
 """Photons and importons: where light and importance arrive, as points on surfaces [ZMY*20, section 6.3; Jen96].
 
-A photon is a vertex of a light path with the flux [W] that it scatters on; an importon is a vertex of a camera path
-with its throughput. Over pi times the area of the disk that holds the k nearest ones, their sum is the radiance, or the
-importance, that leaves a diffuse surface there.
+A photon is a vertex of a light path with the flux [W] that it scatters. An importon is a vertex of a camera path with
+its throughput. The sum over the k nearest ones, over pi times the area of the disk that holds them, is the radiance or
+the importance that leaves a diffuse surface there.
 
 Derivation: ``docs/theory/guiding.md#photons-and-importons``.
 """

@@ -1,8 +1,8 @@
 """Seeds of boundary segments: ordinary path segments, projected to the nearest silhouette [ZRJ23, section 4].
 
-A ray from a path vertex x_1 that a surface stops is projected: a walk over the mesh, to the neighbour with the smallest
-|n . omega|, ends at a silhouette; where it ends without one, a jump to the linearised zero starts a second walk. Seeds
-only say where samples are worth their cost; no estimate depends on them being right.
+A ray from a path vertex x_1 ends on a mesh. A walk over the mesh, always to the neighbour with the smallest |n .
+omega|, ends at a silhouette. If it ends elsewhere, a jump to the linearised zero starts a second walk. Seeds only say
+where samples are worth their cost, so no estimate depends on their accuracy.
 
 Derivation: ``docs/theory/guiding.md#projected-path-segments``.
 """

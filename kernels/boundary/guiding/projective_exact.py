@@ -1,7 +1,8 @@
 """Seeds of segments that touch exact shapes: ordinary path segments, projected to the outline [ZRJ23, section 4].
 
-A ray from a path vertex x_1 that an exact shape stops is projected in closed form (``silhouette/project.py``): to the
-smooth outline or the rim, whichever is nearer as seen from x_1. The light point behind sees an outline as well.
+A ray from a path vertex x_1 that ends on an exact shape is projected in closed form (``silhouette/project.py``), to the
+smooth outline or the rim, whichever is nearer as seen from x_1. The outline that the light point sees gives a second
+seed.
 
 Derivation: ``docs/theory/guiding.md#projection-to-exact-shapes``.
 """

@@ -1,6 +1,6 @@
-"""Items along the first coordinate of a cube: grids and curves have thousands, which come and go as they move.
+"""Items along the first coordinate of a cube: grids and curves have thousands, which come and go as the shape moves.
 
-An item keeps its interval, and with it the masses of the cells there; a new one shares that of its neighbour.
+An item keeps its interval, and with it the masses of the cells there. A new item shares the interval of its neighbour.
 
 Derivation: ``docs/theory/guiding.md#items-that-come-and-go``.
 """

@@ -1,7 +1,7 @@
-"""Where on a triangle of a light is an edge a silhouette? In a stripe, from which points are drawn exactly.
+"""The stripe of a light's triangle for which an edge is a silhouette: points are drawn exactly from it.
 
-An edge is a silhouette between x and y where g_A(y) and g_B(y), both affine, have the same sign: on a triangle of a
-light that leaves at most one convex polygon for each sign, from which points are drawn exactly.
+An edge is a silhouette between x and y where g_A(y) and g_B(y), both affine, have the same sign. On a triangle of a
+light this leaves at most one convex polygon for each sign.
 
 Derivation: ``docs/theory/guiding.md#stripes-of-lights``.
 """

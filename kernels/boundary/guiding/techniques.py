@@ -1,7 +1,7 @@
-"""Sampling of boundary segments by two techniques [YLB*22, section 5]; guided, each has cells of its own.
+"""Sampling of boundary segments by two techniques [YLB*22, section 5], each with guiding cells of its own.
 
-A point of the unit cube is an edge point and a direction: of the wedge between the edge's faces, or towards a point of
-a light. One-sample MIS with the balance heuristic joins the two.
+A point of the unit cube is an edge point and a direction. One technique draws the direction from the wedge between the
+edge's faces, the other towards a point of a light. One-sample MIS with the balance heuristic joins the two.
 
 Derivation: ``docs/theory/guiding.md#two-techniques``.
 """

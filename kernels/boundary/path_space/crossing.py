@@ -1,9 +1,9 @@
-"""Pairs of triangles that may run through each other: candidates of the curves of intersection.
+"""Pairs of triangles that may run through each other: candidates for curves of intersection.
 
-A pair counts if each triangle has corners on both sides of the plane of the other, by more than a tolerance, and the
-two intervals that the triangles cover of the line of both planes overlap; or if one has a corner below the other's
-plane and an edge in it. Pairs that share an edge do not. Which of them do intersect, and where, the host decides
-(``warp_psdr/topology/intersection_curves.py``); what is left out here, it would leave out too.
+A pair is a candidate in two cases. Either each triangle has corners on both sides of the other's plane, by more than a
+tolerance, and the intervals that both cover of the planes' common line overlap. Or one has a corner below the other's
+plane and an edge in it. Pairs that share an edge are left out. The host decides which candidates intersect, and where
+(``warp_psdr/topology/intersection_curves.py``); it would leave out every pair that is left out here.
 """
 
 import warp as wp

@@ -1,6 +1,6 @@
 """Directions of boundary segments at an edge point [ZMY*20, section 6.2].
 
-One-sample MIS (balance heuristic) of two techniques, in solid angle at x_b: the wedge between the face planes, and a
+One-sample MIS (balance heuristic) joins two techniques, in solid angle at x_b: the wedge between the face planes, and a
 point of a light for which the edge is a silhouette.
 
 Derivation: ``docs/theory/boundary.md#directions-at-an-edge-point``.

@@ -1,8 +1,8 @@
-"""Primary boundary at creases between flat faces: both sides of the jump from one path.
+"""Primary boundary at creases between flat faces: one path estimates both sides of the jump.
 
-At an edge both of whose flat faces the camera sees, light arrives from the same directions on either side, so L_A - L_B
-= integral ( f_A(w) - f_B(w) ) L(w) dsigma(w) is estimated with one path: its variance falls with the square of the
-angle between the faces.
+The camera sees both flat faces of the edge. Light arrives from the same directions on both sides, so one path estimates
+L_A - L_B = integral ( f_A(w) - f_B(w) ) L(w) dsigma(w). The variance falls with the square of the angle between the
+faces.
 
 Derivation: ``docs/theory/boundary.md#creases-between-flat-faces``.
 """

@@ -1,7 +1,7 @@
-"""Curves of intersection as path vertices meet them: two surfaces A and B that run through each other.
+"""Secondary boundary at curves of intersection: two surfaces A and B that run through each other.
 
 Where a path vertex c on A passes through B, it loses sight of the vertex before it and of everything behind it. The
-jump is the local form with tau = 1 and the sweep +- t x w, turned away from the visible part of A.
+jump is the local form with tau = 1 and the normal +- t x w, turned away from the visible part of A.
 
 Derivation: ``docs/theory/boundary.md#curves-of-intersection``.
 """

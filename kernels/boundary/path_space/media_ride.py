@@ -1,7 +1,8 @@
-"""What volume vertices between an edge and the camera ride on, and the sinks of their adjoints.
+"""The points that volume vertices between an edge and the camera ride on, and the sinks of their adjoints.
 
-A volume vertex keeps its fraction of the ray from the vertex that is next towards the camera, or of the camera's. So an
-adjoint g of it leaves s g with the surface behind it, as seen from there, and (1 - s) g with that vertex.
+A volume vertex keeps its fraction s of the ray from the next vertex towards the camera, or of the camera's ray. An
+adjoint g of the vertex therefore adds s g to the surface behind it, as seen from there, and (1 - s) g to that next
+vertex.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

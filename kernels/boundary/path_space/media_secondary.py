@@ -1,8 +1,9 @@
 """Secondary boundary in media: discontinuities between two path vertices [ZYZ21], in the local form.
 
-As ``secondary.py``. x_1 is drawn along the ray from the edge point, a surface or a volume vertex, whose W_1 has the
-measure dt_1 more, and importance is carried on from there (``media_walk.py``). L_full is the radiance at x_1 of all of
-the ray past the occluder: what x_2 emits, and what a path from x_1 finds on the way there and behind.
+As in ``secondary.py``, but x_1 is drawn along the ray from the edge point and is a surface point or a volume vertex.
+The importance W_1 of a volume vertex has the additional measure dt_1, and a walk carries it to the camera
+(``media_walk.py``). L_full is the radiance at x_1 of the whole ray past the occluder: the emission of x_2, and what a
+path from x_1 finds on the way there and behind.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

@@ -1,7 +1,7 @@
-"""The walk from a boundary segment's x_1 towards the camera in media.
+"""The walk in media from a boundary segment's x_1 towards the camera.
 
-As ``detector.py``, whose vertices are surface points. A volume vertex has sigma_s f_p for f_s and no cosine. What it
-rides on is in ``media_ride.py``.
+The walk of ``detector.py`` has surface vertices only. Here a vertex may be a point of the medium, with sigma_s f_p in
+place of f_s and no cosine. ``media_ride.py`` says what such a vertex rides on.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

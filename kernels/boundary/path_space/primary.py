@@ -1,7 +1,7 @@
 """Primary boundary: discontinuities of the radiance on the film, for the pixel filter h.
 
 dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds over the edges' images u on the film [LADL18]. The two radiances are
-path-traced along rays that pass the edge on either side, with common random numbers; whatever does not jump cancels.
+path-traced along rays that pass the edge on either side. Common random numbers cancel whatever does not jump.
 
 Derivation: ``docs/theory/boundary.md#primary-boundary``.
 """

@@ -1,7 +1,7 @@
-"""Primary boundary before a transient film: the edges of ``primary.py``, the light beside them by its path length.
+"""Primary boundary on a transient film: the edges of ``primary.py``, with the light beside them binned by path length.
 
-What the two rays beside an edge meet is found first. Then a path goes on along each, with common random numbers, and
-sends what it finds to the bins of its length with the sign of its side.
+The two rays beside an edge first find what they meet. A path then continues along each ray, with common random numbers,
+and adds its light to the bins of its length with the sign of its side.
 
 Derivation: ``docs/theory/transient.md#boundary-term``.
 """

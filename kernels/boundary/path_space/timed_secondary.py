@@ -1,4 +1,4 @@
-"""Secondary boundary before a transient film: the segments of ``secondary.py``, their light by its path length.
+"""Secondary boundary on a transient film: the segments of ``secondary.py``, with their light binned by path length.
 
 Derivation: ``docs/theory/transient.md#boundary-term``.
 """

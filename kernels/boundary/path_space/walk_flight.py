@@ -1,7 +1,7 @@
-"""Where a flight of the walk towards the camera ends, on a stretch of a medium or beyond, and with what density.
+"""Flights of the walk towards the camera: a collision on a stretch of a medium or a passage, with a known density.
 
-The density is known, for of x_1 only a part of what it carries has the transmittance up to it. Half of the collisions
-are drawn by extinction (in grids by that of some bins along the ray), half by how near the camera is.
+Free flights do not serve, because only a part of what x_1 carries has the transmittance up to x_1. Half of the
+collisions are drawn by extinction (in grids by that of some bins along the ray), and half by how near the camera is.
 
 Derivation: ``docs/theory/media.md#boundaries-in-media``.
 """

@@ -1,1 +1,1 @@
-"""Discontinuities that interpolated normals make: terminators and horizons."""
+"""Discontinuities that interpolated normals cause: terminators and horizons."""

@@ -1,7 +1,7 @@
-"""The horizon of a path vertex's own triangle, where its interpolated normal does not lie on the triangle's.
+"""The horizon of a path vertex's own triangle, where interpolated normals differ from the triangle's normal.
 
-What arrives at x jumps where phi = n_g . (x_2 - x) = 0, and under interpolated normals the scattering function does not
-vanish there. Directions in the plane of the triangle are sampled, tilted to either side.
+The incident light at x jumps where phi = n_g . (x_2 - x) = 0. Under interpolated normals the scattering function does
+not vanish there. Directions are sampled in the plane of the triangle, tilted to either side.
 
 Derivation: ``docs/theory/shading_normals.md#the-horizon-of-a-triangle``.
 """

@@ -1,7 +1,8 @@
-"""The horizon of the surface of a grid of signed distances, where its interpolated normal is not its own.
+"""The horizon on a grid of signed distances, where the interpolated normal differs from the surface normal.
 
-As of triangles (``geometric_horizon.py``), what arrives jumps where directions leave through the surface: phi = n_g .
-w = 0, n_g the normal of the surface. The vertex slides along the ray that finds it (form S), and n_g bends on the way.
+As on triangles (``geometric_horizon.py``), the incident light jumps where a direction w enters the surface: phi = n_g .
+w = 0, with the surface normal n_g. The vertex slides along the ray that finds it (form S,
+``docs/theory/implicit.md#form-s``), and n_g turns on the way.
 
 Derivation: ``docs/theory/shading_normals.md#horizons-of-grids``.
 """

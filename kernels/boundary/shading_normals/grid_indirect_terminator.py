@@ -1,7 +1,7 @@
-"""Where interpolated normals of a grid of signed distances turn away from other path vertices than the camera.
+"""The terminator of a grid's interpolated normals as seen from path vertices other than the camera.
 
-As on meshes (``indirect_terminator.py``), what x scatters towards the vertex y before it jumps where n(x) . (y - x) =
-0; x slides along the ray by which y finds it (form S).
+As on meshes (``indirect_terminator.py``), the light that x scatters towards the vertex y before it jumps where n(x) .
+(y - x) = 0. x slides along the ray by which y finds it (form S, ``docs/theory/implicit.md#form-s``).
 
 Derivation: ``docs/theory/shading_normals.md#terminators-of-grids``.
 """

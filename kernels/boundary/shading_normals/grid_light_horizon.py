@@ -1,8 +1,8 @@
 """The edge of a grid's own shadow under point, spot and directional lights, inside of voxels.
 
-Where the normals of a grid of signed distances are interpolated, a light of no area still has a cosine at the horizon
-of the surface, n_g . w = 0, beyond which the body hides it. That is the silhouette that the light sees, on which the
-vertex itself lies. On creases it is theirs (``grid_primary.py``, ``grid_foreground.py``).
+Under interpolated normals, a light of no area still has a positive cosine at the horizon n_g . w = 0 of the surface,
+beyond which the body occludes it. The horizon is the silhouette that the light sees, and the vertex lies on it. The
+terms of creases cover horizons on creases (``grid_primary.py``, ``grid_foreground.py``).
 
 Derivation: ``docs/theory/shading_normals.md#horizons-of-grids``.
 """

@@ -1,7 +1,7 @@
-"""The terminator of the interpolated normals of a grid of signed distances, as the camera sees it.
+"""The terminator of a grid's interpolated normals as the camera sees it.
 
-As on meshes (``terminator.py``), what a surface sends jumps where its shading normal turns away from the camera,
-although the surface faces it. On grids with ``normals: smooth`` that happens beside every silhouette.
+As on meshes (``terminator.py``), the light that a surface sends jumps where its shading normal turns away from the
+camera while the surface still faces it. On grids with ``normals: smooth`` this happens beside every silhouette.
 
 Derivation: ``docs/theory/shading_normals.md#terminators-of-grids``.
 """

@@ -1,7 +1,7 @@
-"""Where interpolated normals turn away from other path vertices: the terminator beyond the camera.
+"""The terminator of interpolated normals as seen from path vertices other than the camera.
 
-What x scatters towards the vertex y before it jumps where phi = n(x) . (y - x) = 0. The direction is drawn in the plane
-perpendicular to n.
+The light that x scatters towards the vertex y before it jumps where phi = n(x) . (y - x) = 0. The direction is drawn in
+the plane perpendicular to n.
 
 Derivation: ``docs/theory/shading_normals.md#the-terminator-beyond-the-camera``.
 """

@@ -1,7 +1,7 @@
-"""The terminator of interpolated normals as the camera sees it: another discontinuity on the film.
+"""The terminator of interpolated normals as the camera sees it: a discontinuity on the film.
 
-Where a shading normal n turns away from the camera while its triangle does not, the radiance jumps along phi = n . (o -
-x) = 0. On a line of constant barycentric phi is quadratic: its roots sample the curve.
+The radiance jumps where a shading normal n turns away from the camera while its triangle does not, along phi = n . (o -
+x) = 0. On a line of constant barycentric coordinate phi is quadratic, and its roots sample the curve.
 
 Derivation: ``docs/theory/shading_normals.md#the-terminator-that-the-camera-sees``.
 """

@@ -1,9 +1,9 @@
-"""Points of a grid of signed distances whose interpolated normal is perpendicular to what an eye sees them along.
+"""Points of a grid whose interpolated normal is perpendicular to the direction from an eye.
 
-In a slice of a voxel across an axis the surface is a hyperbola, whose branches are monotone. Along them psi = n . (eye
-- x) is looked at in places next to each other, and where its sign changes there is a point. All of them count: one is
-drawn, each as likely, and stands for their number, ``roots``. A point at the border of two voxels counts in both, for
-shares of one (``spline_points.py``).
+In a slice of a voxel across an axis the surface is a hyperbola with monotone branches. psi = n . (eye - x) is evaluated
+at successive positions along them; a change of its sign brackets a point. All points count: one is drawn, each with the
+same probability, and is weighted with their number ``roots``. A point at the border of two voxels counts in both, with
+shares that add up to one (``spline_points.py``).
 
 Derivation: ``docs/theory/shading_normals.md#terminators-of-grids``.
 """

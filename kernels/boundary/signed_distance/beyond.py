@@ -1,8 +1,8 @@
-"""What rays from path vertices are to meet: the sky, or a flat light, whose points do not move with the ray.
+"""The target of rays from path vertices: the sky, or a flat light whose points do not move with the ray.
 
-Light points are material points, as for the interior term: domains end at the border of the light, whatever moves. So
-the motion of rays has to vanish there; where it meets a silhouette it must not. It is multiplied by b / (b + s), b the
-distance from the border and s that from the silhouette.
+Light points are material points, as for the interior term, so domains end at the border of the light, whatever moves.
+The motion of rays must therefore vanish at that border, but not where it meets a silhouette. It is multiplied by b / (b
++ s), where b is the distance from the border and s that from the silhouette.
 
 Derivation: ``docs/theory/signed_distances.md#shadows-by-moving-rays``.
 """

@@ -1,4 +1,4 @@
-"""Shapes that live in a box, as grids and networks do: where a ray is in it, and how weights fade at its border.
+"""Shapes inside a box (grids and networks): the part of a ray in the box, and the fade of weights at its border.
 
 Derivation: ``docs/theory/signed_distances.md#weights``.
 """

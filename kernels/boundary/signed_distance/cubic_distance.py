@@ -1,4 +1,4 @@
-"""The distance of a smooth grid (``sdfgrid_cubic.py``), in units of its box and known within.
+"""The signed distance of a cubic grid (``sdfgrid_cubic.py``), in units of its box and known inside of it.
 
 Derivation: ``docs/theory/signed_distances.md#the-motion-of-rays``.
 """

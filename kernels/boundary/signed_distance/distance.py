@@ -1,8 +1,8 @@
-"""Signed distances as functions of the world: value, gradient and Hessian along a ray, and how they change.
+"""Signed distances in world coordinates: value, gradient and Hessian along a ray, and their derivatives.
 
-A kind of shape is a ``Field``. phi is positive outside, in world units; where it is no distance, its zero set counts,
-velocities are divided by its slope, and steps may be other than it is. Next to silhouettes phi is far smaller than the
-rounding of a place in float32, so it is made in double precision. Poses are similarities.
+A kind of shape is a ``Field``. phi is positive outside, in world units. If phi is not a distance, only its zero set
+counts: velocities are divided by its slope, and steps may differ from it. Next to silhouettes phi is far smaller than
+the float32 rounding of a position, so it is computed in double precision. Poses are similarities.
 
 Derivation: ``docs/theory/signed_distances.md#the-motion-of-rays``.
 """

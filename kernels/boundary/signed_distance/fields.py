@@ -1,4 +1,4 @@
-"""The kinds of shapes that have a signed distance here; a new kind is a file and a row."""
+"""The kinds of shapes with a signed distance; a new kind is a file and a row of this table."""
 
 from warp_psdr.kernels.boundary.signed_distance.cubic_distance import CUBIC
 from warp_psdr.kernels.boundary.signed_distance.distance import Field

@@ -1,8 +1,8 @@
-"""What rays that move carry across the borders of pixels, where the pixel filter jumps [VSJ22, BLD20, LHJ19].
+"""Flux of moving rays across the borders of pixels, where the pixel filter jumps [VSJ22, BLD20, LHJ19].
 
-A box counts nothing beyond its pixel, and rays that move do not stop there: of the integral over a pixel they take
-L U . n along its border, U their motion on the film. Two pixels share a border, and what one loses the other gains.
-Filters that are cut at the border of the film end there alone.
+A box filter counts nothing beyond its pixel, and moving rays do not stop at the border. With U the motion of rays on
+the film, the integral over a pixel loses or gains L U . n along its border. What one pixel loses, its neighbour gains.
+Other filters have such a flux only where the border of the film cuts them.
 
 Derivation: ``docs/theory/signed_distances.md#the-film``.
 """

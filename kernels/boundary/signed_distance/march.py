@@ -1,8 +1,8 @@
-"""Sphere tracing that weighs its steps: what [VSJ22] and [BGL*22] evaluate the motion of silhouettes at.
+"""Sphere tracing with weighted steps: where [VSJ22] and [BGL*22] evaluate the motion of silhouettes.
 
-Along a ray o + t w the steps of sphere tracing [Har96] stand at t_i. Each has a weight q_i, large where phi and the
-slope of phi along the ray are small: next to a silhouette all of it lies where the ray passes the surface. Everything
-is a function of the direction w, whose gradient travels along: x_i' = w (grad t_i . w') + t_i w'.
+The steps of sphere tracing [Har96] along a ray o + t w lie at t_i. Each has a weight q_i that is large where phi and
+the slope of phi along the ray are small. Next to a silhouette all of the weight lies where the ray passes the surface.
+Everything is a function of the direction w, and its gradient is carried along: x_i' = w (grad t_i . w') + t_i w'.
 
 Derivation: ``docs/theory/signed_distances.md#weights``.
 """

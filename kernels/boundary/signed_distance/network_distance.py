@@ -1,8 +1,8 @@
-"""The distance of a network (``primitive/network.py``): phi over its slope at the surface, in units of its box.
+"""The signed distance of a network (``primitive/network.py``): phi over its slope at the surface, in units of its box.
 
-Networks are no distances. Where |phi| is at most a level c its slope is at most L, by bounds of its weights; so no
-zero is nearer than min(|phi|, c) / L, and steps of (c / L) S(|phi| / c), S(u) <= min(u, 1), pass over none. The motion
-of rays does not depend on what phi is divided by, which rests.
+A network is not a distance. Bounds of its weights say that its slope is at most L where |phi| is at most a level c. No
+zero is therefore nearer than min(|phi|, c) / L, and steps of (c / L) S(|phi| / c), with S(u) <= min(u, 1), pass over no
+zero. The divisor is at rest, and the motion of rays does not depend on it.
 
 Derivation: ``docs/theory/signed_distances.md#networks``.
 """

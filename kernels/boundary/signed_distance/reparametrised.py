@@ -1,9 +1,9 @@
 """Derivatives whose rays move with the silhouettes of a signed distance: interior and boundary term as one integral.
 
-Paths of at most two vertices behind the camera. Where rays move as the silhouettes do, what they see has no moving
-discontinuity [VSJ22]: of h L over the directions w of the camera's rays, the derivative is d(h L) with the ray attached
-to w' = V, plus h L div V. Record and sweep has the adjoint of that ray (``interior/sweep.py``); the light that a vertex
-finds moves its rays in the same way, from where the vertex is.
+Paths have at most two vertices behind the camera. If rays move as the silhouettes do, they see no moving discontinuity
+[VSJ22]. The integral of h L over the directions w of the camera's rays then has the derivative d(h L), with the ray
+attached to w' = V, plus h L div V. Record and sweep has the adjoint of that ray (``interior/sweep.py``). Light that a
+vertex finds moves its rays in the same way, from that vertex.
 
 Derivation: ``docs/theory/signed_distances.md#moving-integrals``.
 """

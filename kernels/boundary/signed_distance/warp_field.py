@@ -1,8 +1,8 @@
 """The motion of rays next to silhouettes of a signed distance [VSJ22, BGL*22], and its divergence.
 
-A ray of the direction w moves by V(w) = P W, P = 1 - w w^T, W = c (v(x) - (1 - t / d) o'), v = -phi_pi grad phi /
-|grad phi|^2 the flow of the surfaces of equal distance, x = o + t w, o' the velocity of the ray's origin and d the
-distance of what it is to meet. [VSJ22] evaluate v once, at the mean t of the steps; [BGL*22] at every step. On the
+A ray of the direction w moves by V(w) = P W, P = 1 - w w^T, W = c (v(x) - (1 - t / d) o'). Here v = -phi_pi grad phi /
+|grad phi|^2 is the flow of the surfaces of equal distance, x = o + t w, o' the velocity of the ray's origin, and d the
+distance of its target. [VSJ22] evaluate v once, at the mean t of the steps; [BGL*22] evaluate it at every step. On the
 sphere of directions div V = tr(dW) - 2 w . W.
 
 Derivation: ``docs/theory/signed_distances.md#the-motion-of-rays``.

@@ -1,1 +1,1 @@
-"""Smooth silhouettes: of shapes without triangles, one kind a file."""
+"""Smooth silhouettes of shapes without triangles, one kind of shape a file."""

@@ -1,4 +1,4 @@
-"""Where a segment that touches a shape without triangles leads to: a point of a light, or its direction."""
+"""The aim of a segment that touches a shape without triangles: a point of a light, or the light's direction."""
 
 import functools
 

@@ -1,7 +1,8 @@
-"""Outlines of the open unit cylinder and rims of it and of the disk: what ``dispatch.py`` and ``rim.py`` ask of a kind.
+"""Outlines of the open unit cylinder, and rims of cylinder and disk, for ``dispatch.py`` and ``rim.py``.
 
-From a point e farther from the axis than 1 the silhouette is two lines along the axis, through the points of the unit
-circle where q . e = 1 across the axis; from a direction, where q . e = 0. Both have half of u, from z = 0 to z = 1.
+From a point e farther from the axis than 1, the silhouette is two lines along the axis, through the points of the unit
+circle where q . e = 1 across the axis. From a direction it is the two lines where q . e = 0. Each line has one half of
+the parameter u, from z = 0 to z = 1.
 
 Derivation: ``docs/theory/implicit.md#silhouettes``.
 """

@@ -1,6 +1,6 @@
-"""Where a segment past a silhouette goes: to the film, to what moves it, or to the guide that asks what it is worth.
+"""The receiver of a silhouette segment's contribution: the film, a parameter's gradient, or the guide.
 
-Points on shapes of all kinds end here, each with the sink of its own.
+Points on shapes of all kinds end here, each with the sink of its own kind.
 """
 
 import warp as wp

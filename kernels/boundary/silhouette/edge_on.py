@@ -1,9 +1,9 @@
-"""Sheets that are seen from their edges: the wall of a box under a sun that stands over it.
+"""Sheets seen edge-on: for example the wall of a box under a sun straight above it.
 
-Rays in the plane of such a sheet touch all of it, from one of its ends to the other. Rounding would say of each end by
-itself whether it is a silhouette, so that both are, or neither. Here the first end that a ray along w comes to is: of a
-camera's rays that in front, of segments towards a light that which faces away from the light, for the other may stand
-on what the segment comes from.
+A ray in the plane of such a sheet touches all of it, from one end to the other. Rounding would decide at each end by
+itself whether it is a silhouette, so that both ends count, or neither. Here one end counts: the first to which a ray
+along w comes. For the camera that is the end in front. For a segment towards a light it is the end that faces away from
+the light, because the other end may stand on the surface at which the segment starts.
 
 Derivation: ``docs/theory/implicit.md#sheets-seen-from-their-edges``.
 """

@@ -1,6 +1,6 @@
-"""The two ends of a segment that touches a shape without triangles: what it meets towards the source and the sensor.
+"""The two ends of a segment that touches a shape without triangles: its first hits towards the source and the sensor.
 
-A kind says where its segment touches it and with what density; both ends are found alike for all kinds.
+A kind of shape gives the touching point and its density; this file finds both ends for all kinds.
 """
 
 import functools

@@ -1,8 +1,9 @@
-"""What grids of signed distances send to other path vertices beside their creases and silhouettes.
+"""The foreground of grids of signed distances: light that they send to path vertices past creases and silhouettes.
 
-A vertex of a grid slides along the ray that finds it, which is tied to x_1 (form S), so that the border of what is seen
-of the grid moves against it: past a silhouette counts L_- (x_b' - c_1'), L_- what the grid sends. At creases that are
-seen from the front (``shading``) what it sends jumps, because its normals do.
+A vertex of a grid slides along the ray that finds it, and the ray starts at x_1, whose surface it follows (form S,
+``docs/theory/implicit.md#form-s``). The border of the visible part therefore moves against the grid: past a silhouette
+the term L_- (x_b' - c_1') counts, where L_- is the light of the grid and c_1' the velocity at x_1. At creases that are
+seen from the front (``shading``) the light jumps because the normal does.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
 """

@@ -1,9 +1,9 @@
-"""Points at which segments can touch a grid of signed distances: its creases, and its surface inside of voxels.
+"""Points at which segments can touch a tri-linear grid of signed distances: creases, and the surface inside of voxels.
 
-Where the surface passes a face between two voxels its normal jumps: the face holds a curve of an edge between two
-sheets. Inside of a voxel phi is tri-linear. An *item* is a face or a voxel that the surface passes, with the number 4 n
-+ kind, n that of the node in front of it; kinds 0 to 2 are faces across the axis of that number, in front of the voxel,
-kind 3 is the voxel. Lengths and areas are measured in voxels; the vectors of a point are in the world.
+The normal jumps where the surface passes a face between two voxels: the face holds a curved edge between two sheets, a
+crease. An *item* is a face or a voxel that the surface passes. Its number is 4 n + kind, with n the node in front of
+it; kinds 0 to 2 are the faces across that axis in front of the voxel, and kind 3 is the voxel. Lengths and areas are
+measured in voxels; the vectors of a point are in the world.
 
 Derivation: ``docs/theory/implicit.md#creases``.
 """

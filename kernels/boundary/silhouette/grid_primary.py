@@ -1,10 +1,9 @@
 """Primary boundary of grids of signed distances [ZCM*24]: creases and smooth silhouettes that the camera sees.
 
-The normals of the surface jump at creases, and so does what it sends: ``shading`` is the term of those that the camera
-sees from the front, as that of flat meshes (``path_space/flat_creases.py``).
-
 The term is that of edges on the film (``path_space/primary.py``) along the curve that the camera sees, found item by
-item (``grid_points.py``): of a crease what is a silhouette from the camera, in a voxel the generator of the silhouette.
+item (``grid_points.py``): the part of a crease that is a silhouette from the camera, and in a voxel the silhouette of
+the smooth surface. The variant ``shading`` is the term of creases that the camera sees from the front, where the normal
+and the reflected light jump, as on flat meshes (``path_space/flat_creases.py``).
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
 """

@@ -1,9 +1,9 @@
 """Secondary boundary of grids of signed distances [ZCM*24]: segments between two path vertices that touch one.
 
-At a crease the measure is that of edges, sin(phi) dl dsigma, inside of a voxel kappa_n dA dtheta. Two techniques are
-joined by the balance heuristic: all items with directions in which they are silhouettes, and a point of a light with
-the silhouettes that it sees, of the items that it may see some of. Of point, spot and directional lights the direction
-is given. A grid has no material points (form S), so what its own surface sends past the silhouette counts as well
+At a crease the measure is that of edges, sin(phi) dl dsigma; inside of a voxel it is kappa_n dA dtheta. The balance
+heuristic joins two techniques: an item with a direction in which it is a silhouette, and a point of a light with an
+item that may show it a silhouette. Point, spot and directional lights give the direction. A grid has no material points
+(form S, ``docs/theory/implicit.md#form-s``), so light that it sends past its own silhouette counts as well
 (``grid_foreground.py``).
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.

@@ -1,8 +1,8 @@
-"""Points at which segments can touch a network: its surface, and its silhouettes, in a cell.
+"""Points at which segments can touch a network: its surface and its silhouettes, cell by cell.
 
-The items are cells alone, as those of smooth grids (``spline_points.py``), and all points of a line or a slice count.
-The bound of a cell's second derivatives stands in for the Bezier coefficients there: it bounds how far phi is from
-linear, and how fast grad phi . (x - eye) changes.
+The items are cells, as the voxels of cubic grids are (``spline_points.py``), and all points of a line or a slice count.
+The bound of a cell's second derivatives replaces Bezier coefficients: it bounds how far phi is from linear, and how
+fast grad phi . (x - eye) changes.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-networks``.
 """

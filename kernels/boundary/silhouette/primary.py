@@ -1,8 +1,8 @@
-"""Primary boundary at smooth silhouettes, the curve at which a camera's rays touch a shape, and at rims, exactly.
+"""Primary boundary at smooth silhouettes and rims of shapes without triangles, as the camera sees them.
 
-As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, but the curve is the
-generator of the silhouette from the camera, and only the normal component of its velocity counts: that of the surface.
-A rim is a curve of the shape, and moves with it. Beside a rim of two surfaces either may be seen.
+As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds. The curve is the silhouette
+from the camera, and only the normal component of its velocity counts, which is that of the surface. A rim is a curve of
+the shape and moves with it. Beside a rim of two surfaces the camera may see either.
 
 Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``, ``#rims-that-join``.
 """

@@ -1,8 +1,9 @@
-"""Projection of a point of an exact shape to what is seen of its outline, in closed form, and the outline's numbers.
+"""Projection of a point of an exact shape to the visible part of its outline, in closed form.
 
-From an eye e outside of the unit sphere the nearest point of the circle q . e = 1 keeps the direction across e; of the
-two lines of a cylinder's outline it is the nearer one, at the same height; of rims the same angle, of a cylinder's two
-the nearer one. In the shape's coordinates, so that of ellipsoids the point is near and not nearest.
+From an eye e outside of the unit sphere, the nearest point of the circle q . e = 1 keeps the direction across e. On a
+cylinder it is the nearer of the two lines, at the same height. On rims the point keeps its angle; of a cylinder's two
+rims the nearer one counts. All of it is in the shape's coordinates, so that on ellipsoids the point is near, but not
+the nearest one.
 
 Derivation: ``docs/theory/guiding.md#projection-to-exact-shapes``.
 """

@@ -1,10 +1,9 @@
-"""Rims: where a shape without triangles ends, an open edge that is a silhouette from everywhere.
+"""Rims: the ends of a shape without triangles, open edges that are silhouettes from everywhere.
 
-A rim is a circle of the kind, x(u) = A q(u) + b, u in [0, 1). In the plane across a direction, the surface lies on one
-side of it; the normal towards the other is perpendicular to the direction and to dx/du.
-
-Where a disk closes a cylinder both rims are one edge of two surfaces: the disk's, which knows its neighbour. Where a
-cylinder stands on a surface, its rim is no edge, but a curve of intersection (``crossing/``).
+A rim is a circle of the kind, x(u) = A q(u) + b, u in [0, 1). In the plane across a direction the surface lies on one
+side of the rim; the normal towards the other side is perpendicular to the direction and to dx/du. If a disk closes a
+cylinder, both rims are one edge of two surfaces: the disk holds it and knows its neighbour. If a cylinder stands on a
+surface, its rim is no edge, but a curve of intersection (``crossing/``).
 
 Derivation: ``docs/theory/implicit.md#rims``, ``#rims-that-join``.
 """

@@ -1,11 +1,11 @@
 """Secondary boundary at smooth silhouettes and rims: segments between two path vertices that touch a shape.
 
-The local form (``local_form.py``) at a point x_b of a smooth surface, with a tangent direction at the angle theta, has
-the measure kappa_n dA dtheta in place of sin(phi) dl dsigma, kappa_n the normal curvature along the segment. Two
-techniques are joined by the balance heuristic: uniform in area and theta, and a point of a light with the silhouette
-that it sees, for which kappa_n dA dtheta = |dx/du x w| du dsigma. Of point, spot and directional lights the direction
-is given, and the silhouette alone is drawn. At rims the measure is |dx/du x w| du dsigma for any direction w, which is
-uniform, or leads to a light. A rim of two surfaces is a silhouette where both lie on one side.
+The local form (``local_form.py``) at a point x_b of a smooth surface has the measure kappa_n dA dtheta in place of
+sin(phi) dl dsigma, with the tangent direction theta and the normal curvature kappa_n along the segment. The balance
+heuristic joins two techniques: uniform in area and theta, and a point of a light with the silhouette that it sees, for
+which kappa_n dA dtheta = |dx/du x w| du dsigma. Point, spot and directional lights give the direction. At rims the
+measure is |dx/du x w| du dsigma; the direction w is uniform or leads to a light. A rim of two surfaces is a silhouette
+where both lie on one side.
 
 Derivation: ``docs/theory/implicit.md#secondary-silhouettes``, ``#rims``, ``#rims-that-join``.
 """

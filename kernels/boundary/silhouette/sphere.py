@@ -1,8 +1,8 @@
-"""Silhouettes of the unit sphere: what ``dispatch.py`` asks of a kind, in the coordinates of the shape.
+"""Silhouettes of the unit sphere: the functions of a kind for ``dispatch.py``, in the coordinates of the shape.
 
-From a point e outside, |e| > 1, the silhouette is the circle q . e = 1: its centre is e / |e|^2, its radius sqrt(1 - 1
-/ |e|^2). From infinity it is a great circle. An affine map turns silhouettes into silhouettes, and the sphere into any
-ellipsoid.
+From a point e outside, |e| > 1, the silhouette is the circle q . e = 1 with the centre e / |e|^2 and the radius sqrt(1
+- 1 / |e|^2). From infinity it is a great circle. An affine map turns silhouettes into silhouettes, and the sphere into
+any ellipsoid.
 
 Derivation: ``docs/theory/implicit.md#silhouettes``.
 """

@@ -1,8 +1,8 @@
-"""Points at which segments can touch a smooth grid of signed distances: its surface, and its silhouettes, in a voxel.
+"""Points at which segments can touch a cubic grid of signed distances: its surface and its silhouettes, voxel by voxel.
 
-The items are voxels alone (``grid_points.py``): such a surface has no creases. On a line and in a slice of a voxel
-there may be several points. All of them count: one is drawn, each as likely, and stands for their number, ``roots``. A
-point at the border of two voxels counts in both, for shares of one.
+Such a surface has no creases, so the items are voxels alone (``grid_points.py``). A line or a slice of a voxel may hold
+several points. All of them count: one is drawn, each with the same probability, and is weighted with their number
+``roots``. A point at the border of two voxels counts in both, with shares that add up to one.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-cubic-grids``.
 """

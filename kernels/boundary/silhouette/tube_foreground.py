@@ -1,8 +1,9 @@
-"""What curves with a radius send to other path vertices, past their silhouettes and ends, and beside creases at joints.
+"""The foreground of curves with a radius: light that they send to path vertices past silhouettes, ends and creases.
 
-A vertex of a curve slides along the ray that finds it, which is tied to x_1 (form S), so that the border of what is
-seen of the curve moves against it: past a silhouette counts L_- (x_b' - c_1'), L_- what the curve sends, and at a
-crease the jump of it.
+A vertex of a curve slides along the ray that finds it, and the ray starts at x_1, whose surface it follows (form S,
+``docs/theory/implicit.md#form-s``). The border of the visible part therefore moves against the curve: past a silhouette
+the term L_- (x_b' - c_1') counts, where L_- is the light of the curve and c_1' the velocity at x_1. At a crease of a
+joint the jump of L_- counts.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``, ``#joints``.
 """

@@ -1,9 +1,9 @@
 """Points at which segments can touch curves with a radius: sides of tubes and cones, ends, and joints.
 
-A *part* of a segment is its side, what begins it, what ends it, or the crease at its joint with the next one. B-splines
-begin and end with an open circle, a rim that is seen from outside alone; straight segments with spheres, which two of
-them share, and on the inner side of a joint their cones meet in a crease. An item is a record and the number 4 n +
-part, n that of the segment.
+A *part* of a segment is its side, its beginning, its end, or the crease at its joint with the next segment. B-splines
+begin and end with an open circle, a rim that is seen from outside alone. Straight segments begin and end with spheres,
+which two of them share; on the inner side of a joint their cones meet in a crease. An item is a record and the number 4
+n + part, with n the number of the segment.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 """

@@ -1,7 +1,7 @@
 """Primary boundary of curves with a radius: silhouettes, open ends, and creases at joints that the camera sees.
 
 The term is that of other silhouettes on the film (``primary.py``), along curves that are found item by item
-(``tube_points.py``). At a crease, which cones of straight segments meet in, what the surface sends jumps.
+(``tube_points.py``). At a crease, where the cones of two straight segments meet, the light of the surface jumps.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 """

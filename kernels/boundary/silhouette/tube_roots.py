@@ -1,13 +1,13 @@
-"""Where around a circle of a tube an eye sees its silhouette: all roots of a quadratic equation in (cos, sin).
+"""Silhouette points on a circle of a tube, as an eye sees them: all roots of a quadratic equation in (cos, sin).
 
-With the way from the eye alpha, beta along two axes across the tube, grad phi . (x - eye) = 0 reads
+The vector from the eye has the components alpha, beta along two axes across the tube. grad phi . (x - eye) = 0 reads
 
-    (D - r (gamma cos + delta sin)) (alpha cos + beta sin + rho) = K,
+    (D - r (gamma cos + delta sin)) (alpha cos + beta sin + rho) = K.
 
-which in z = tan(theta / 2), or of the opposite angle, is a quartic equation for -1 <= z <= 1. Between the roots of its
-derivatives a polynomial is monotone, so that none is passed. The first axis leans by ``TURN`` from the way: from a
-direction a tube of one radius is seen from aside at right angles to the way, and roots at z = 1 would be found twice,
-or in neither half.
+In z = tan(theta / 2), or of the opposite angle, this is a quartic equation for -1 <= z <= 1. A polynomial is monotone
+between the roots of its derivative, so no root is missed. The first axis is turned by ``TURN`` away from that vector:
+from a direction, a tube of one radius has its silhouette at right angles to the vector, and roots at z = 1 would be
+found twice, or in neither half.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 """

@@ -1,8 +1,9 @@
-"""Secondary boundary of curves with a radius: segments between two path vertices that touch one, or one's open end.
+"""Secondary boundary of curves with a radius: segments between two path vertices that touch a curve or its open end.
 
-Two techniques are joined by the balance heuristic: an item with a direction of its own, and a point of a light with the
-silhouettes that it sees. Of point, spot and directional lights the direction is given. Vertices slide along the rays
-that find them (form S), so what a curve sends past its own silhouette counts as well (``tube_foreground.py``).
+The balance heuristic joins two techniques: an item with a direction of its own, and a point of a light with the
+silhouettes that it sees. Point, spot and directional lights give the direction. Vertices slide along the rays that find
+them (form S, ``docs/theory/implicit.md#form-s``), so light that a curve sends past its own silhouette counts as well
+(``tube_foreground.py``).
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 """

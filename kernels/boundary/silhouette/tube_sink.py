@@ -1,7 +1,7 @@
-"""Where the adjoint of a point of a tube's silhouette goes: to the control points around it, and to the pose.
+"""The sink for the adjoint of a point on a tube's silhouette: the control points around it, and the pose.
 
-Of silhouettes the velocity along the normal counts, n . x' = -phi' / |grad phi|; of rims that of their circle, which
-stays across the axis; of creases that across the curve, which two values of phi determine.
+At a silhouette the velocity along the normal counts, n . x' = -phi' / |grad phi|. At a rim it is the velocity of the
+circle, which stays across the axis. At a crease it is the velocity across the curve, which two values of phi determine.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 """

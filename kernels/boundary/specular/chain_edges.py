@@ -1,7 +1,7 @@
 """Edges that a line crosses where the identity of a chain changes, as the adjoint of phi = 0 (``discontinuity.py``).
 
-Edges of what the two rays on either side of the crossing meet, curves along which two surfaces run through each other,
-and edges that end the light of a point, spot or directional light.
+The candidates are edges of the surfaces that the two rays beside the crossing meet, curves of intersection, and edges
+that end the light of a point, spot or directional light.
 """
 
 import functools

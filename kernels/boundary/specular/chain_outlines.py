@@ -1,7 +1,8 @@
 """Outlines of shapes without triangles that a line crosses: where a ray that just misses a shape touches it.
 
-Of two neighbouring rays one meets the shape and the other passes it. Between them lies a ray that touches it: at a rim,
-next to the hit, or where the surface is seen edge-on, next to the point of the ray that is nearest to the shape.
+Two neighbouring rays lie on either side: one meets the shape, the other passes it, and a ray between touches it. It
+touches at a rim next to the hit, or where the surface is seen edge-on, next to the ray's point that is nearest to the
+shape.
 
 Derivation: ``docs/theory/specular.md#outlines-of-shapes-without-triangles``.
 """

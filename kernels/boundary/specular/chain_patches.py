@@ -1,8 +1,8 @@
-"""Patches of shapes without triangles, which the identity of a chain tells apart (``specular_chain.py``).
+"""Patches of shapes without triangles, which tell apart the surfaces of a chain (``specular_chain.py``).
 
-Such a shape may stand in front of itself, where two rays of a chain meet one shape and yet not one surface. A *patch*
-is the voxel of a linear grid, whose normal jumps to the next one, a block of voxels of a smooth one, the segment of a
-curve, and of exact shapes the side that is met.
+A shape may stand in front of itself, so that two rays of a chain meet one shape, but not one surface. A *patch* is a
+voxel of a linear grid (the normal jumps to the next one), a block of voxels of a cubic grid, the segment of a curve, or
+the side of an exact shape.
 
 Derivation: ``docs/theory/specular.md#outlines-of-shapes-without-triangles``.
 """

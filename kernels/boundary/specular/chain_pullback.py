@@ -1,8 +1,9 @@
 """The adjoint of a chain's ray, carried back along the path that sent it.
 
-A point of the path is attached to the ray that found it if a camera or a delta lobe sent that ray, and a material point
-otherwise, as in the interior term (``interior/replay.py``); this is the backward sweep (``interior/sweep.py``) of one
-ray instead of a radiance. It ends at the camera or at the first material point whose predecessor does not matter.
+As in the interior term (``interior/replay.py``), a point of the path is attached to the ray that found it if a camera
+or a delta lobe sent that ray, and is a material point otherwise. This file is the backward sweep
+(``interior/sweep.py``) for one ray in place of a radiance. It ends at the camera, or at the first material point whose
+predecessor does not matter.
 """
 
 import functools

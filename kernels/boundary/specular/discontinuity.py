@@ -1,7 +1,7 @@
-"""What a line crosses where the identity of the chain changes, and the implicit equation phi = 0 of that curve.
+"""The discontinuity that a line crosses where the identity of a chain changes, and its implicit equation phi = 0.
 
-Two rays on either side of the crossing are followed in step until they differ at the i-th vertex of the chain. What
-differs (an edge, a curve of intersection, a crease, a horizon, a shadow's edge, a terminator) decides phi, a linear
+Two rays on either side of the crossing are followed in step until they differ at the i-th vertex of the chain. The
+difference (an edge, a curve of intersection, a crease, a horizon, a shadow's edge, a terminator) decides phi, a linear
 form in the velocities.
 
 Derivation: ``docs/theory/specular.md#what-a-line-crosses``.

@@ -1,7 +1,7 @@
 """Outlines of grids of signed distances and networks that a line crosses (``chain_outlines.py``).
 
-Along a ray that is next to touching such a surface, phi comes close to 0 and turns. In a voxel of a linear grid it is a
-cubic polynomial, which turns inside of the voxel, or at its face, a crease; of smooth grids and networks Newton's steps
+Along a ray that nearly touches such a surface, phi comes close to 0 and turns. In a voxel of a linear grid phi is a
+cubic polynomial, which turns inside of the voxel, or at its face, a crease. On cubic grids and networks, Newton's steps
 find where grad phi . d = 0. Creases that are seen from the front, where the normal jumps, lie between two hits.
 
 Derivation: ``docs/theory/specular.md#outlines-of-shapes-without-triangles``.

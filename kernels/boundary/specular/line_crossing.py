@@ -1,4 +1,4 @@
-"""What a crossing of a line and a discontinuity adds to a derivative: one term of the sum in ``line_search.py``."""
+"""The contribution of one crossing of a line and a discontinuity: one term of the sum in ``line_search.py``."""
 
 import functools
 

@@ -1,8 +1,8 @@
 """Discontinuities seen through mirrors and glass, by searching along lines.
 
-Edges seen through a mirror cannot be sampled. From q0 a line goes in a uniform direction e, and each crossing s of a
-discontinuity phi = 0 adds 2 phi_s (F_high - F_low) phi' / (|grad phi|^2 ell p(q0)) (Crofton's formula). A random path
-down a tree of halved cells loses no crossing.
+Edges seen through a mirror cannot be sampled directly. A line starts at q0 in a uniform direction e, and each of its
+crossings s with a discontinuity phi = 0 adds 2 phi_s (F_high - F_low) phi' / (|grad phi|^2 ell p(q0)) (Crofton's
+formula). A random path down a tree of halved cells loses no crossing.
 
 Derivation: ``docs/theory/specular.md#searching-along-lines``.
 """

@@ -1,7 +1,8 @@
-"""How the rays of a chain move with q, the point of the line search's domain: differentials of rays [Igehy 1999].
+"""Ray differentials of a chain: how its rays move with q, the point of the line search's domain.
 
-The scene rests. A ray (o, d) with o_q and d_q meets a triangle at x_q = r - d (n_g . r) / (n_g . d), r = o_q + t d_q;
-the lobe's direction follows from its closed form [Igehy 1999, "Tracing Ray Differentials"].
+The scene is at rest. A ray (o, d) with the derivatives o_q and d_q meets a triangle at x_q = r - d (n_g . r) / (n_g .
+d), r = o_q + t d_q. The derivative of the lobe's direction follows from its closed form [Igehy 1999, "Tracing Ray
+Differentials"].
 
 Derivation: ``docs/theory/specular.md#ray-differentials``.
 """

@@ -1,4 +1,4 @@
-"""What a ray that meets a triangle is told of the triangle's edges and neighbours."""
+"""The edges and neighbours of a triangle that a ray meets."""
 
 import warp as wp
 

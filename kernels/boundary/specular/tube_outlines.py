@@ -1,7 +1,8 @@
 """Outlines of curves with a radius that a line crosses (``chain_outlines.py``).
 
-A tube is touched on the circle through the hit, at the root of ``tube_roots.py`` that is nearest to the hit, or at its
-open end; straight segments on their spheres, too. Where two of them meet, a crease lies between two hits.
+A ray touches a tube on the circle through the hit, at the root of ``tube_roots.py`` that is nearest to the hit, or at
+its open end. It may also touch a straight segment on its spheres. Where two straight segments meet, a crease lies
+between two hits.
 
 Derivation: ``docs/theory/specular.md#outlines-of-shapes-without-triangles``.
 """

@@ -1,8 +1,8 @@
-"""Auxiliary rays of warped-area sampling [BLD20]: directions about a ray, what they meet, and what they weigh.
+"""Auxiliary rays of warped-area sampling [BLD20]: directions about a ray, the points that they meet, and their weights.
 
-A direction w_i has the weight 1 / (D + B)^2 over its density: D = exp(kappa (1 - w . w_i)) - 1, the distance from the
-ray, and B = kappa / 2 times the squared sine of the angle between w_i and the nearest edge of the triangle that it
-meets. So on the edge of a triangle the triangle alone counts. Densities are even in the logarithm of 1 - w . w_i, so
+A direction w_i has the weight 1 / (D + B)^2 over its density. D = exp(kappa (1 - w . w_i)) - 1 is the distance from the
+ray, and B is kappa / 2 times the squared sine of the angle between w_i and the nearest edge of the triangle that it
+meets. On the edge of a triangle this triangle alone counts. The density is even in the logarithm of 1 - w . w_i, so
 that a ray next to an edge has neighbours at every scale.
 
 Derivation: ``docs/theory/reparameterisation.md#weights``.

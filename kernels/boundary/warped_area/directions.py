@@ -1,4 +1,4 @@
-"""The rays from a vertex of a path whose motion counts, and what the derivative asks of that motion.
+"""The rays from a path vertex whose motion counts, and the adjoint that each asks of its motion.
 
 Derivation: ``docs/theory/reparameterisation.md``.
 """

@@ -1,8 +1,8 @@
-"""The motion of material points as the direction of a ray sees it, which is part of a path-space interior term.
+"""The motion of material points as a ray's direction sees it, which path space's interior term already contains.
 
-A ray of the direction w from x finds y = sum_k b_k p_k on a triangle. Its point rides with y' = sum_k b_k p_k', and so
-its direction turns by m(w) = P (y' - x') / d, P = 1 - w w^T, d = |y - x|. What path space's interior term has of it is
-taken off the motion of the ray: V - m is how far the ray moves against the points that it finds.
+A ray of the direction w from x finds y = sum_k b_k p_k on a triangle. This point moves with y' = sum_k b_k p_k', so its
+direction turns by m(w) = P (y' - x') / d, P = 1 - w w^T, d = |y - x|. Subtracting m from the motion V of the ray leaves
+the motion V - m of the ray against the points that it finds.
 
 Derivation: ``docs/theory/reparameterisation.md#in-path-space``.
 """

@@ -1,9 +1,10 @@
-"""Warped-area sampling beside path space's interior term [XBLZ23] (survey eq. 34 to 36).
+"""Warped-area sampling beside path space's interior term [XBLZ23] ([ZCZ25] eq. 34 to 36).
 
-The interior term holds vertices on their triangles. Along each segment of a path the boundary term is the integral of
-div (f V_K), where V_K is how far rays move against the points that they find, V - m: zero where nothing hides anything.
-It is estimated along camera paths of its own, in the measure of directions. A gradient of f by the direction is that of
-scattering, and, as the point that is found slides, of all behind it: an adjoint that record and sweep has already.
+The interior term keeps vertices on their triangles. Along each segment of a path, the boundary term is the integral of
+div (f V_K), where V_K = V - m is the motion of rays against the points that they find: zero where nothing is occluded.
+Separate camera paths estimate it, in the measure of directions. The gradient of f by the direction is that of
+scattering and, as the point that is found slides, of everything behind it: an adjoint that record and sweep has
+already.
 
 Derivation: ``docs/theory/reparameterisation.md#in-path-space``.
 """

@@ -1,4 +1,4 @@
-"""Which motion of rays a method has: that of weighted rays, or rotations."""
+"""The motion of rays that a method uses: that of weighted auxiliary rays, or rotations."""
 
 import functools
 

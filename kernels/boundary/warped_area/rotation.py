@@ -1,13 +1,13 @@
-"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] (survey 2.3.1).
+"""The motion of rays next to edges of meshes by rotations of whole kernels of directions [LHJ19] ([ZCZ25] 2.3.1).
 
-Convolved with a von Mises-Fisher kernel k about mu, an integral over directions is one of integrals over kernels, and
-in each of them all rays may turn together, V(w) = W(mu) x w, which leaves areas as they are. A few auxiliary rays of
-the kernel tell which point it turns with: that of the surface which hides the other, or of the edge between the two.
-No W follows all edges in a kernel, and rays miss some of them: the derivative is biased by design. From k follows
+An integral over directions is convolved with a von Mises-Fisher kernel k about mu. In each kernel all rays turn
+together, V(w) = W(mu) x w, which preserves areas. A few auxiliary rays of the kernel choose the point that it turns
+with: a point of the occluding surface, or of the edge between two surfaces. No W follows all edges in a kernel, and
+rays miss some of them, so the derivative is biased by design. From k follows
 
-    div V = kappa mu . (W x w),
+    div V = kappa mu . (W x w).
 
-which ``pairs`` cancel where nothing is to be seen: kernels that mirror each other about w have the same W there.
+``pairs`` of kernels that mirror each other about w have the same W where there is no edge, and cancel it there.
 
 Derivation: ``docs/theory/reparameterisation.md#one-rotation-a-kernel``.
 """

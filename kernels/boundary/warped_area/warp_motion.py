@@ -1,9 +1,9 @@
 """The motion of rays next to edges of meshes, by auxiliary rays, and its divergence [BLD20].
 
-V(w) = P sum_i q_i v_i / sum_i q_i, P = 1 - w w^T: the mean of what auxiliary rays see move, v_i = P_i (z_i' - o') /
-t_i. Its divergence follows from the gradients of the weights q_i. What weighs L div V + a . V is linear in the v_i, so
-each of them is looked up and pulled back alone. A quotient of sums over K rays has a bias. ``debias`` adds, at
-random, what a net of twice as many rays has more than the mean of its halves, over the probability.
+V(w) = P sum_i q_i v_i / sum_i q_i, P = 1 - w w^T, is the weighted mean of the velocities v_i = P_i (z_i' - o') / t_i
+that auxiliary rays see. Its divergence follows from the gradients of the weights q_i. The adjoint of L div V + a . V is
+linear in the v_i, so each ray is looked up and pulled back alone. A quotient of sums over K rays is biased. ``debias``
+adds at random the difference between a net of twice as many rays and the mean of its halves, over the probability.
 
 Derivation: ``docs/theory/reparameterisation.md``.
 """

@@ -1,9 +1,9 @@
-"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] (survey eq. 32).
+"""Derivatives whose rays move with the edges of meshes: warped-area sampling [BLD20] ([ZCZ25] eq. 32).
 
-Where the directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, what they
-meet has no moving discontinuity. Of the integral of f L over the directions from a vertex the derivative is d(f L) with
-the ray attached to w' = V, plus f L div V. So record and sweep (``interior/sweep.py``) finds every vertex by the ray
-from the one before it, lights included, and its adjoint of the ray's direction goes to the auxiliary rays about it.
+The directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, so that they meet
+no moving discontinuity. The integral of f L over the directions from a vertex then has the derivative d(f L), with the
+ray attached to w' = V, plus f L div V. Record and sweep (``interior/sweep.py``) therefore finds every vertex by the ray
+from the one before it, lights included, and hands the adjoint of the ray's direction to its auxiliary rays.
 
 Derivation: ``docs/theory/reparameterisation.md``.
 """

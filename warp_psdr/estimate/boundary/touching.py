@@ -1,4 +1,4 @@
-"""Segments that touch shapes without triangles, between two path vertices: guided, or as they are drawn without."""
+"""Segments between two path vertices that touch shapes without triangles, with or without guiding."""
 
 from __future__ import annotations
 

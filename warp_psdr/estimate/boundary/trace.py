@@ -1,4 +1,4 @@
-"""A sample of a boundary term, drawn again: what ``psdr.trace_sample`` returns for it.
+"""One sample of a boundary term, drawn again: the result of ``psdr.trace_sample``.
 
 The term's own kernel runs over that one sample, compiled so that it writes down what it meets (``kernels/notes.py``).
 """
@@ -141,7 +141,7 @@ def trace_boundary(
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
     if tangents is None:
-        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, scene, sensor)
+        asked = adjoint_array(np.ones((*shape, 3)) if adjoint is None else adjoint, shape, scene.device)
         # Room for float64 sums (``kernels/sink.py``).
         target = wp.zeros(2 * scene.values.shape[0], dtype=wp.float32, device=scene.device)
     else:

@@ -1,1 +1,1 @@
-"""Guiding structures: how they are built, kept and reused."""
+"""Guiding structures: building, storage and reuse."""

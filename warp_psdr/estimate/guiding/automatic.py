@@ -1,11 +1,11 @@
-"""Guiding by itself: ``boundary="auto"`` guides the gradients that are repeated, if a pilot says that it pays.
+"""Automatic guiding: ``boundary="auto"`` guides repeated gradients if a pilot finds that it pays.
 
-The first gradient of a request is not guided: its structure would cost more than it saves. Once a pilot and a structure
-cost no more than a few times what was spent on the request, both are bought: the pilot draws batches of the terms of
-shadow edges and their like (``BoundaryTerm.guided``) with and without guiding, and of all the rest, and compares the
-variance of what was asked for, the gradient or the derivative image, times its cost. Costs are counted in samples,
-never timed, so that equal calls in equal order give equal bits. A call that was not guided is not guided when it is
-repeated with the same seed and values.
+The first gradient of a request is not guided, because its structure would cost more than it saves. Once a pilot and a
+structure cost no more than a few times what was spent on the request, both are made. The pilot draws batches of the
+guided terms (``BoundaryTerm.guided``: shadow edges and other silhouettes) with and without guiding, and of all other
+terms. It compares the variance of the gradient or derivative image times its cost. Costs are counted in samples, never
+timed, so that equal calls in equal order give equal bits. A call that was not guided is not guided when it is repeated
+with the same seed and values.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import compiler
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
 from warp_psdr.estimate.gradient_sums import GradientSums
@@ -75,7 +76,8 @@ def choose(
     if call in found.plain:
         return plain
     if not found.decided and found.spent:
-        _decide(found, scene, plain, names, role, sensor, spp, seed, given)
+        with compiler.because("to try guiding for this repeated gradient"):
+            _decide(found, scene, plain, names, role, sensor, spp, seed, given)
     if found.method is not None:
         return replace(plan, boundary=PathSpace(guiding=found.method))
     if len(found.plain) < REMEMBERED:

@@ -1,13 +1,13 @@
 """Trees of cells in the unit cube: how they grow, what they measure, and their upload.
 
-With f the integrand and n samples drawn by a density that is constant within leaves of volume V_i, the estimator's
+Let f be the integrand, and let n samples have a density that is constant within leaves of volume V_i. The estimator's
 variance is least for leaf probabilities proportional to V_i sqrt(E_i[f^2]), E_i the mean over the leaf, and is then
 
     ( (sum_i V_i sqrt(E_i[f^2]))^2 - (integral f)^2 ) / n.
 
-So the sum is what a split has to lower, and the square root of the second moment is a leaf's mass: unlike the mean, it
-does not neglect leaves in which few samples met thin features. Moments are shrunk towards those of the leaf that was
-split, by ``PRIOR`` samples; of a leaf that met nothing something remains.
+A split has to lower that sum, and the square root of the second moment is a leaf's mass. Unlike the mean, it does not
+neglect leaves in which few samples met thin features. Moments are shrunk towards those of the leaf that was split, by
+``PRIOR`` samples, so that a leaf whose samples met nothing keeps some mass.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""The order of edges along the first coordinate of the cube: neighbours in it should be neighbours in space.
+"""The order of edges along the first coordinate of the cube: neighbours in the order are neighbours in space.
 
-Edges are joined to chains greedily [YLB*22, section 4.1]: two edges that meet at a vertex continue each other if each
-is the straightest continuation of the other and they meet at ``LOCAL`` degrees at least. A chain ends after
-``MOST`` edges, and from ``FREE`` edges on where it has turned by more than 180 - ``GLOBAL`` degrees. The chains are put
-in order along a Morton curve.
+Edges are joined to chains greedily [YLB*22, section 4.1]. Two edges that meet at a vertex continue each other if each
+is the straightest continuation of the other and they meet at ``LOCAL`` degrees at least. A chain ends after ``MOST``
+edges, and from ``FREE`` edges on where it has turned by more than 180 - ``GLOBAL`` degrees. The chains are sorted along
+a Morton curve.
 """
 
 from __future__ import annotations

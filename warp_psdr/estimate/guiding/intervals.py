@@ -1,8 +1,8 @@
-"""Items of grids, networks and curves along the first coordinate of a cube, and how they are followed.
+"""Intervals of items (of grids, networks and curves) along the first coordinate of a cube, kept as the shape changes.
 
-Cells are boxes of coordinates, so an item keeps its masses if it keeps its interval. Where the surface reaches another
-voxel, that one shares the interval of the item before it in the order; where it leaves one, the item before it takes
-the interval over. Nothing is left without an interval, and the density of a point is always known.
+Cells are boxes of coordinates, so an item keeps its masses if it keeps its interval. When the surface reaches another
+voxel, this voxel shares the interval of the item before it in the order. When the surface leaves a voxel, the item
+before it takes the interval over. Every item thus has an interval, and the density of a point is always known.
 """
 
 from __future__ import annotations

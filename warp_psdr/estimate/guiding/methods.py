@@ -1,4 +1,4 @@
-"""Which structure a method of guiding builds: one function a method, of one form."""
+"""The structure that each method of guiding builds: one function a method, all of one form."""
 
 from __future__ import annotations
 

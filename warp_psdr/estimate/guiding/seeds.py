@@ -1,4 +1,4 @@
-"""Where seeds tell a k-d tree to be fine, before anything is measured [ZRJ23, section 5, for a k-d tree]."""
+"""Refinement of a k-d tree at seeds, before anything is measured [ZRJ23, section 5, for a k-d tree]."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Built structures, kept on the scene from one gradient to the next.
+"""Guiding structures, kept on the scene from one gradient to the next.
 
 A structure belongs to a method, to what moves, to a camera, a depth and the form of the first vertices. At the same
-values of the scene it is used as it is. While vertices, lights and cameras have moved by less than ``drift`` since it
-was built, its cells stay and their masses are refreshed, those of some of them at each change. Beyond that it is built
-anew, as soon as the samples that it has guided since are so many that the evaluations of a build are few beside them;
-at once where an edge can be a silhouette that is not in it. So a step of an optimisation spends little on guiding,
-however fine the structure is.
+values of the scene it is used as it is. While vertices, lights and cameras have moved by less than ``drift``, its cells
+stay, and the masses of some of them are refreshed at each change. Beyond that the structure is built anew once it has
+guided so many samples that the evaluations of a build are few beside them, or at once if an edge that is not in it can
+be a silhouette. A step of an optimisation therefore spends little on guiding, however fine the structure is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Built structures of a boundary term: over what they are, how they are built, measured again and read by kernels."""
+"""The structure of a boundary term's guiding: its domain, how it is built, refreshed and read by kernels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The terms of the boundary methods: each kind of discontinuity declares itself in a file of its own; here is the list.
+"""The list of all boundary terms; each kind of discontinuity declares itself in a file of its own.
 
 A new kind of edge is a file with a ``BoundaryTerm`` and its place in ``ALL``.
 """

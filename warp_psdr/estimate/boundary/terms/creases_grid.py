@@ -1,4 +1,4 @@
-"""Creases of grids of signed distances that the camera sees from the front: jumps of what the surface sends."""
+"""Creases of grids of signed distances that the camera sees from the front, where the reflected light jumps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shadow edges and their like as the vertices of a camera path see them [LADL18]."""
+"""Shadow edges and other silhouettes as the vertices of a camera path see them [LADL18]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What rays that move with silhouettes carry across the borders of pixels."""
+"""The flux of moving rays across the borders of pixels."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Curves in which shapes without triangles and other surfaces run through each other, as the camera sees them."""
+"""Curves of intersection between shapes without triangles and other surfaces, as the camera sees them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What grids of signed distances send past their silhouettes, to other path vertices than the camera."""
+"""Light that grids of signed distances send past their silhouettes to path vertices other than the camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What curves with a radius send past their silhouettes and beside their joints, to other vertices than the camera."""
+"""Light that curves with a radius send past silhouettes and beside joints to path vertices other than the camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Shadow edges in media: surfaces, and points of the medium, lose light."""
+"""Shadow edges in media, which cut off light from surfaces and from points of the medium."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far the rays of paths move against the points that they find [XBLZ23]."""
+"""The motion of rays against the points that they find, along paths [XBLZ23]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a boundary term is asked for, how a kind of discontinuity declares itself, and what it is launched as."""
+"""The records of a boundary term: what it is asked for, how a kind of discontinuity declares itself, and its launch."""
 
 from __future__ import annotations
 

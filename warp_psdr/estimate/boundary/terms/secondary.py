@@ -1,4 +1,4 @@
-"""Shadow edges and their like: visibility between two path vertices [ZMY*20]."""
+"""Shadow edges and other jumps of the visibility between two path vertices [ZMY*20]."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is seen through smooth mirrors and glass: searched along lines."""
+"""Discontinuities seen through smooth mirrors and glass, found by searching along lines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Path vertices on curves in which shapes without triangles and other surfaces run through each other."""
+"""Path vertices on curves of intersection between shapes without triangles and other surfaces."""
 
 from __future__ import annotations
 
