@@ -78,7 +78,7 @@ def methods(name: str, depth: int) -> dict[str, psdr.PathIntegrator]:
     options = [method.option for method in psdr.methods() if method.term == term]
     alone = {"boundary": None} if term == "interior" else {}
     return {
-        option: psdr.PathIntegrator(max_depth=depth, **alone, **{term: eval(option, vars(psdr))})
+        option: psdr.PathIntegrator(max_depth=depth, **alone, **{term: eval(option, {term: getattr(psdr, term)})})
         for option in (*options, *CHOICES[name])
     }
 
