@@ -13,7 +13,9 @@ author = "The warp_psdr authors"
 copyright = author
 html_title = "warp_psdr"
 html_theme = "furo"
-exclude_patterns = ["_build", "_ext", "data"]
+html_static_path = ["_static"]
+html_css_files = ["site.css"]
+exclude_patterns = ["_build", "_ext", "_static", "data"]
 extensions = [
     "myst_nb",
     "sphinx.ext.autodoc",

@@ -136,16 +136,16 @@ def write_data(folder: Path = FOLDER, spp: int = PHOTO_SPP) -> None:
         image_io.write_image(folder / f"view_{camera}.exr", image)
 
 
-def load_truth(folder: Path) -> psdr.Scene:
-    """Return the scene with what is to be found."""
-    return psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr")
+def load_truth(folder: Path, **size: int) -> psdr.Scene:
+    """Return the scene with what is to be found; ``size`` may be its width and height."""
+    return psdr.load_file(folder / SCENE, albedo="albedo_truth.exr", environment="environment_truth.exr", **size)
 
 
 def photographs(
-    folder: Path, cameras: tuple[int, ...], spp: int, seed: int, title: str = "photographs"
+    folder: Path, cameras: tuple[int, ...], spp: int, seed: int, title: str = "photographs", **size: int
 ) -> dict[int, np.ndarray]:
     """Return noisy images of the truth by camera, each with its own seed."""
-    return render_views(load_truth(folder), cameras, spp, seed, title)
+    return render_views(load_truth(folder, **size), cameras, spp, seed, title)
 
 
 def render_views(scene: psdr.Scene, cameras: tuple[int, ...], spp: int, seed: int, title: str) -> dict[int, np.ndarray]:

@@ -8,8 +8,8 @@ light on the wall is the picture: light paths are drawn from the sun through the
 their vertices ride on what moves. No path from the camera could find that light. The derivative is the interior term
 alone, which is the whole here: all that moves falls on one wall.
 
-Leaves in ``out/caustic_design/``: ``result.png`` (flat, found, wanted), ``lens.png`` (its height), ``loss.png``,
-``lens.ply`` and ``report.json``.
+Leaves in ``out/caustic_design/``: ``result.png`` (the lens, flat, found, wanted), ``lens.png`` (its height),
+``loss.png``, ``lens.ply`` and ``report.json``.
 """
 
 from __future__ import annotations
@@ -36,6 +36,12 @@ FLAT_SIDE, CURVED_SIDE = 2.2, 2.0
 REFLECTANCE = 0.8
 #: Light beside the heart, over that in it.
 DIM = 0.15
+#: Pixels along a side of the picture of the lens for each of its vertices, and where the lamp of that picture stands.
+LENS_PIXELS, LENS_LAMP = 6, (-1.0, 1.0, 2.0)
+#: Slope that nineteen of twenty points of the pictured lens stay below: its own is too small to be seen.
+LENS_SLOPE = 1.2
+#: Pixels along a side, and samples of each, of the pictures of light, for each that the fit compares.
+FINER, SHOWN_SPP = 3, 16
 
 
 def grid(count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -87,6 +93,24 @@ def heart(width: int) -> np.ndarray:
     return np.repeat((image / image.mean())[..., None], 3, axis=2).astype(np.float32)
 
 
+def relief(height: np.ndarray) -> np.ndarray:
+    """Return a picture of the curved side of the lens, lit from the upper left, as a matt surface would show it.
+
+    Args:
+        height: (count, count), from the lower left on.
+    """
+    from scipy.ndimage import zoom
+
+    fine = zoom(height, LENS_PIXELS, order=3)[::-1]
+    down, across = np.gradient(fine)
+    scale = LENS_SLOPE / max(np.percentile(np.hypot(down, across), 95.0), 1e-9)
+    down, across = scale * down, scale * across
+    normal = np.stack([-across, down, np.ones_like(fine)], axis=-1)
+    lamp = np.array(LENS_LAMP) / np.linalg.norm(LENS_LAMP)
+    cosine = (normal @ lamp) / np.linalg.norm(normal, axis=-1)
+    return np.repeat(np.maximum(cosine, 0.0)[..., None], 3, axis=2)
+
+
 def main(
     folder: Path = ROOT / "out" / "caustic_design",
     *,
@@ -117,9 +141,18 @@ def main(
         optimiser.step(scale=0.1 ** (step / steps))
     found = psdr.render(params.scene, **photo).numpy()
     vertices, faces = params[LENS].numpy().reshape(-1, 3), grid(count)[1]
-    titles = ["behind the flat slab", "behind the lens", "wanted"]
-    plots.side_by_side(folder / "result.png", [flat, found, wanted], titles, exposure=-1.0, columns=3)
     height = (vertices[:, 2] - CURVED_SIDE).reshape(count, count)
+    titles = [f"the lens: its relief, {np.ptp(height):.2f} deep, 2 wide", "light behind a flat slab"]
+    titles += ["light behind the lens", "wanted"]
+    fine = load(count, FINER * width)
+    shown = []
+    for lens in (grid(count)[0], vertices):
+        fine[LENS] = lens
+        fine.update()
+        options = {"integrator": INTEGRATOR, "spp": SHOWN_SPP * spp, "seed": 2**31}
+        shown.append(psdr.render(fine.scene, **options).numpy())
+    images = [1.3 * relief(height), *shown, heart(FINER * width)]  # 1.3: a plain is as bright as light behind the slab
+    plots.side_by_side(folder / "result.png", images, titles, exposure=-1.0, columns=4)
     tones = (height - height.min()) / max(np.ptp(height), 1e-9)
     psdr.write_image(folder / "lens.png", np.kron(np.repeat(tones[::-1, :, None], 3, axis=2), np.ones((6, 6, 1))))
     plots.loss_curve(folder / "loss.png", losses)

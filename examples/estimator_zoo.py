@@ -78,7 +78,7 @@ def methods(name: str, depth: int) -> dict[str, psdr.PathIntegrator]:
     options = [method.option for method in psdr.methods() if method.term == term]
     alone = {"boundary": None} if term == "interior" else {}
     return {
-        option: psdr.PathIntegrator(max_depth=depth, **alone, **{term: eval(option, vars(psdr))})
+        option: psdr.PathIntegrator(max_depth=depth, **alone, **{term: eval(option, {term: getattr(psdr, term)})})
         for option in (*options, *CHOICES[name])
     }
 
@@ -133,7 +133,8 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
         error = errors[-1]
         rows.append({"method": label, "samples": RUNS * few, "seconds": took, "error": error, "errors": errors})
         images[label] = found
-        pictures[f"{label}\n{RUNS * few} samples, {took:.2g} s, error {100 * error:.0f} %"] = found.mean(axis=0)
+        about = f"{RUNS * few} samples, {took:.{0 if took > 10.0 else 1}f} s, error {100 * error:.0f} %"
+        pictures[f"{label}\n{about}"] = found.mean(axis=0)
     picture = folder / f"zoo_{name}.png"
     image = psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=depth), spp=64)
     psdr.plots.side_by_side(
@@ -141,11 +142,11 @@ def draw(folder: Path, scene, name: str, depth: int, seconds: float) -> list[dic
         [image],
         ["the image"],
         differences={f"reference, {REFERENCE} times as long": reference, **pictures},
+        difference_quantity=UNIT,
         percentile=99.0,
         columns=4,
         title=f"{TARGETS[name][2]}: every method of the {TARGETS[name][0]} term, "
-        f"about {seconds:g} s of processor each, or {RUNS * TOGETHER} samples",
-        quantity=UNIT,
+        f"{seconds:g} s of processor each, or {RUNS * TOGETHER} samples where these take longer",
     )
     print(f"wrote {picture}")
     if name == "interior":

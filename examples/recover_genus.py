@@ -35,6 +35,8 @@ GRID = "link.grid"
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
 #: Photographs that are given, and that judge; samples of each, and their seed, which no step uses.
 GIVEN, KEPT, PHOTO_SPP, PHOTO_SEED = 12, 2, 256, 2**32 - 1000
+#: Pixels along a side in ``result.png`` for each that the fit compares.
+FINER = 2
 #: Where the grid is; its values are distances in the unit of the world.
 BOX, LENGTHS = psdr.Transform.translate([-1.0, -1.0, -1.0]) @ psdr.Transform.scale(2.0), (2.0, 2.0, 2.0)
 #: Learning rate at the start of a grid, in voxels; the share to which it falls along a half cosine; weight of the
@@ -99,6 +101,10 @@ def build(grid: np.ndarray, resolution: int) -> psdr.Scene:
 
 def photographs(scene: psdr.Scene, seed: int) -> list[np.ndarray]:
     return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
+
+
+def drawn(scene: psdr.Scene, seed: int) -> dict[int, np.ndarray]:
+    return recovery.draw_views(scene, GIVEN, INTEGRATOR, PHOTO_SPP, seed)
 
 
 def finer(values: np.ndarray, n: int) -> np.ndarray:
@@ -176,6 +182,8 @@ def main(
         number = surface(grid).euler_number
         print(f"{size} nodes an axis: loss {np.mean(losses[-2 * GIVEN :]):.5f}, Euler number {number}", flush=True)
     found = photographs(scene, PHOTO_SEED + 200)
+    states = (sought, psdr.sdf.coefficients(balls(sizes[0])), grid)
+    views = tuple(drawn(build(state, FINER * resolution), PHOTO_SEED + 300 + 100 * i) for i, state in enumerate(states))
     mesh = surface(grid)
     mesh.export(folder / "link.ply")
     titles = [f"step {step}" for step in shown] + ["photograph"]
@@ -184,7 +192,7 @@ def main(
     plots.loss_curve(folder / "loss.png", curves, title="loss", ylabel="mean squared error")
     wanted = surface(sought)
     report = {
-        **recovery.view_report(folder, photos, before, found, GIVEN),
+        **recovery.view_report(folder, photos, before, found, GIVEN, views),
         "Euler number: start, recovered, sought": [m.euler_number for m in (first, mesh, wanted)],
         "mean distance of the surfaces in voxels": round(distance(mesh, wanted) / voxel, 3),
         "nodes an axis": sizes[-1],

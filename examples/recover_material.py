@@ -37,10 +37,14 @@ BASE, ROUGHNESS, METALLIC, SKY = (
 RATES, FALL = {BASE: 0.03, ROUGHNESS: 0.02, METALLIC: 0.03, SKY: 0.06}, 0.01
 #: Values that the fit starts from.
 START = {BASE: 0.5, ROUGHNESS: 0.4, METALLIC: 0.5, SKY: 0.6}
+#: Of all cameras, degrees.
+FIELD_OF_VIEW = 60.0
 #: Texels of the textures (rows, columns) and of the sky.
 TEXELS, SKY_TEXELS = (12, 24), (8, 16)
 #: Photographs that are given, and that judge; samples of each, and their seed, which no step uses.
 GIVEN, KEPT, PHOTO_SPP, PHOTO_SEED = 8, 2, 512, 2**32 - 1000
+#: Pixels along a side in ``result.png`` for each that the fit compares, and samples of these.
+FINER, SHOWN_SPP = 4, 128
 
 
 def waves(shape: tuple[int, int], *numbers: tuple[float, float, float]) -> np.ndarray:
@@ -75,7 +79,12 @@ def build(resolution: int) -> psdr.Scene:
     bitmaps = {names[name]: {"type": "bitmap", "bitmap": value, "raw": True} for name, value in grey.items()}
     scene: dict = {
         "type": "scene",
-        "ball": {"type": "sphere", "bsdf": {"type": "principled", "specular": 0.5, **bitmaps}},
+        # Upright: the poles, where texels meet, are above and below.
+        "ball": {
+            "type": "sphere",
+            "to_world": psdr.Transform.rotate([1, 0, 0], -90),
+            "bsdf": {"type": "principled", "specular": 0.5, **bitmaps},
+        },
         "sky": {"type": "envmap", "bitmap": np.full((*SKY_TEXELS, 3), START[SKY], np.float32)},
     }
     origins = []
@@ -83,7 +92,7 @@ def build(resolution: int) -> psdr.Scene:
         angle = 2.0 * np.pi * (i / GIVEN if i < GIVEN else (i - GIVEN) * 0.5 + 0.0625)
         height = (1.1 if i % 2 else -1.1) if i < GIVEN else 0.2
         origins.append([2.6 * np.sin(angle), height, 2.6 * np.cos(angle)])
-    scene |= recovery.cameras(origins, 70.0, resolution)
+    scene |= recovery.cameras(origins, FIELD_OF_VIEW, resolution)
     return psdr.load_dict(scene)
 
 
@@ -101,13 +110,15 @@ def main(folder: Path = ROOT / "out" / "material", *, resolution: int = 40, step
     params = psdr.traverse(scene)
     start, sought = {name: params[name].numpy().copy() for name in RATES}, truth()
 
-    def photographs(seed: int) -> list[np.ndarray]:
-        return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
+    fine = psdr.traverse(build(FINER * resolution))
+
+    def pictures(values: dict[str, np.ndarray], seed: int) -> list[np.ndarray]:
+        set_values(fine, values)
+        return recovery.photographs(fine.scene, GIVEN + KEPT, INTEGRATOR, SHOWN_SPP, seed)
 
     set_values(params, sought)
-    photos = photographs(PHOTO_SEED)
+    photos = recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, PHOTO_SEED)
     set_values(params, start)
-    before = photographs(PHOTO_SEED + 100)
     params.requires_grad(*RATES)
     optimizer, losses = psdr.optim.Adam(params, RATES, betas=(0.9, 0.99), mask_updates=True), []
     order = np.random.default_rng(0)
@@ -124,13 +135,13 @@ def main(folder: Path = ROOT / "out" / "material", *, resolution: int = 40, step
         losses.append(float(loss.numpy()[0]))
         if (step + 1) % 40 == 0:
             print(f"step {step + 1}: loss {np.mean(losses[-40:]):.5f}", flush=True)
-    found = photographs(PHOTO_SEED + 200)
     recovered = {name: params[name].numpy().copy() for name in RATES}
+    views = [pictures(values, PHOTO_SEED + 100 * i) for i, values in enumerate((sought, start, recovered), 1)]
     draw(folder, sought, recovered)
     smooth = np.convolve(losses, np.ones(GIVEN) / GIVEN, mode="valid")
     plots.loss_curve(folder / "loss.png", {"mean over eight photographs": smooth}, title="loss", ylabel="Huber loss")
     report = {
-        **recovery.view_report(folder, photos, before, found, GIVEN),
+        **recovery.view_report(folder, *views, GIVEN),
         "mean absolute errors": {n: round(float(np.abs(recovered[n] - sought[n]).mean()), 3) for n in RATES},
         "steps": steps,
         "seconds": round(time.perf_counter() - began),

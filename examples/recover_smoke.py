@@ -34,6 +34,8 @@ INTEGRATOR = psdr.PathIntegrator(max_depth=6)
 DENSITY, ALBEDO = "cube.interior_medium.sigma_t.data", "cube.interior_medium.albedo.data"
 #: Photographs that are given, and that judge; samples of each, and their seed, which no step uses.
 GIVEN, KEPT, PHOTO_SPP, PHOTO_SEED = 8, 2, 256, 2**32 - 1000
+#: Pixels along a side in ``result.png`` for each that the fit compares.
+FINER = 2
 #: Learning rates at the start, in the units of the values; they fall to this share along a half cosine of each grid.
 RATES, FALL = {DENSITY: 0.25, ALBEDO: 0.05}, 0.1
 #: Times the number of voxels: derivatives by one below which Adam's steps shrink, so that noise moves little.
@@ -111,6 +113,10 @@ def build(density: np.ndarray, albedo: np.ndarray, resolution: int) -> psdr.Scen
 
 def photographs(scene: psdr.Scene, seed: int) -> list[np.ndarray]:
     return recovery.photographs(scene, GIVEN + KEPT, INTEGRATOR, PHOTO_SPP, seed)
+
+
+def drawn(scene: psdr.Scene, seed: int) -> dict[int, np.ndarray]:
+    return recovery.draw_views(scene, GIVEN, INTEGRATOR, PHOTO_SPP, seed)
 
 
 def finer(values: np.ndarray, n: int) -> np.ndarray:
@@ -192,12 +198,15 @@ def main(
         density, albedo = params[DENSITY].numpy().copy(), params[ALBEDO].numpy().copy()
         print(f"{size} voxels an axis: loss {np.mean(losses[-4 * GIVEN :]):.5f}", flush=True)
     found = photographs(scene, PHOTO_SEED + 200)
+    states = (sought, (0.0 * density, 0.0 * albedo), (density, albedo))
+    fine = FINER * resolution
+    shown = tuple(drawn(build(*state, fine), PHOTO_SEED + 300 + 100 * i) for i, state in enumerate(states))
     draw(folder, sought, (density, albedo))
     smooth = np.convolve(losses, np.ones(GIVEN) / GIVEN, mode="valid")
     curves = {"mean over eight photographs": smooth}
     plots.loss_curve(folder / "loss.png", curves, title="loss", ylabel="mean squared error")
     report = {
-        **recovery.view_report(folder, photos, before, found, GIVEN),
+        **recovery.view_report(folder, photos, before, found, GIVEN, shown),
         "largest derivative by a voxel at density 0": at_zero,
         "the same by Mitsuba's prbvolpath": theirs,
         "voxels": voxels,

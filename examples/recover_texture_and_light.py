@@ -3,9 +3,9 @@
     python examples/recover_texture_and_light.py            # a minute or two on two cores
     python examples/recover_texture_and_light.py --resume   # goes on where a run was stopped
 
-Leaves in ``out/bunny/``: ``result.png`` (photographs, start, recovered, and two views that the fit was not given),
-``recovered.png`` (albedo and environment beside the truth), ``derivative.png``, ``gradients.png`` (the first gradient
-of the loss on the surfaces), ``report.json``, and in ``fit/`` all that ``warp-psdr fit`` writes.
+Leaves in ``out/bunny/``: ``result.png`` (photograph, start, recovered, of a view that was given and of one that was
+not), ``recovered.png`` (albedo and environment beside the truth), ``derivative.png``, ``gradients.png`` (the first
+gradient of the loss on the surfaces), ``report.json``, and in ``fit/`` all that ``warp-psdr fit`` writes.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ JUDGE_SPP, TRUTH_SEED, RECOVERED_SEED = 128, 2**32 - 2000, 2**32 - 3000
 SEEN = 0.1
 #: Steps whose mean is the loss at the end.
 LAST = 20
-#: Views that result.png shows: one that was given, and those that were kept.
-SHOWN = (0, *bunny_data.KEPT)
+#: Views that result.png shows: one that was given, and one that was kept; their size, and samples a pixel.
+SHOWN, SIZE, SHOWN_SPP = (0, bunny_data.KEPT[1]), {"width": 480, "height": 360}, 32
 
 
 def seen_texels(folder, name: str) -> np.ndarray:
@@ -66,13 +66,18 @@ def _rounded(values: np.ndarray) -> list[float]:
     return [round(float(value), 3) for value in values]
 
 
+def set_recovered(folder, params: psdr.Parameters) -> None:
+    """Give a scene the recovered values."""
+    for name in (ALBEDO, LIGHT):
+        params[name] = np.load(folder / "fit" / "parameters" / f"{name}.npy")
+    params.update()
+
+
 def render_recovered(folder) -> tuple[psdr.Parameters, dict[int, np.ndarray]]:
     """Return the parameters of the scene with the recovered values, and its image for every camera."""
     scene = psdr.load_file(folder / bunny_data.SCENE)
     params = psdr.traverse(scene)
-    for name in (ALBEDO, LIGHT):
-        params[name] = np.load(folder / "fit" / "parameters" / f"{name}.npy")
-    params.update()
+    set_recovered(folder, params)
     cameras = (*bunny_data.GIVEN, *bunny_data.KEPT)
     return params, bunny_data.render_views(scene, cameras, JUDGE_SPP, RECOVERED_SEED, "recovered views")
 
@@ -86,16 +91,25 @@ def noise_of(folder, config: FitConfig) -> float:
     return float(np.mean(losses))
 
 
+def draw_result(folder, truth, recovered) -> None:
+    """Write ``result.png``: a row a view, at more pixels than the fit compared."""
+    scene = psdr.load_file(folder / bunny_data.SCENE, **SIZE)
+    params = psdr.traverse(scene)
+    render = lambda i: psdr.render(scene, sensor=i, spp=SHOWN_SPP, seed=RECOVERED_SEED + i).numpy()  # noqa: E731
+    start = {i: render(i) for i in SHOWN}
+    set_recovered(folder, params)
+    photographs = bunny_data.photographs(folder, SHOWN, SHOWN_SPP, TRUTH_SEED, **SIZE)
+    rows, titles = [], []
+    for i in SHOWN:
+        given = "not given" if i in bunny_data.KEPT else "given"
+        rows += [photographs[i], start[i], render(i)]
+        titles += [f"photograph {i}, {given}", "start", f"recovered, {psnr(recovered[i], truth[i]):.1f} dB"]
+    plots.side_by_side(folder / "result.png", rows, titles, columns=3)
+
+
 def draw(folder, params, truth, recovered) -> None:
     """Write the pictures."""
-    grey = psdr.load_file(folder / bunny_data.SCENE)
-    start = {i: psdr.render(grey, sensor=i, spp=64).numpy() for i in SHOWN}
-    kept = lambda i: f"view {i}" + (", not given" if i in bunny_data.KEPT else "")  # noqa: E731
-    titles = [f"truth, {kept(i)}" for i in SHOWN] + ["start"] * len(SHOWN)
-    titles += [f"recovered, {psnr(recovered[i], truth[i]):.1f} dB" for i in SHOWN]
-    rows = [images[i] for images in (truth, start, recovered) for i in SHOWN]
-    plots.side_by_side(folder / "result.png", rows, titles, columns=len(SHOWN))
-
+    draw_result(folder, truth, recovered)
     files = ["albedo_truth.exr", "albedo_start.exr", f"fit/parameters/{ALBEDO}.exr"]
     files += ["environment_truth.exr", "environment_start.exr", f"fit/parameters/{LIGHT}.exr"]
     titles = [f"{what}, {which}" for what in ("albedo", "light") for which in ("truth", "start", "recovered")]

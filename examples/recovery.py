@@ -90,7 +90,22 @@ def photographs(
     return [psdr.render(scene, sensor=i, integrator=integrator, spp=spp, seed=seed + i).numpy() for i in range(count)]
 
 
-def view_report(folder: Path, photos: list, before: list, found: list, given: int) -> dict:
+def shown_views(given: int) -> tuple[int, ...]:
+    """Return the views that ``result.png`` shows: two that were given, and the first two that were kept."""
+    return (0, 3, given, given + 1)
+
+
+def draw_views(
+    scene: psdr.Scene, given: int, integrator: psdr.PathIntegrator, spp: int, seed: int
+) -> dict[int, np.ndarray]:
+    """Return the views that ``result.png`` shows, of a scene with more pixels than the fit compares."""
+    render = lambda i: psdr.render(scene, sensor=i, integrator=integrator, spp=spp, seed=seed + i)  # noqa: E731
+    return {i: render(i).numpy() for i in shown_views(given)}
+
+
+def view_report(
+    folder: Path, photos: list, before: list, found: list, given: int, drawn: tuple[dict, dict, dict] | None = None
+) -> dict:
     """Draw four photographs beside the start and what was recovered, and compare all of them.
 
     Args:
@@ -99,12 +114,13 @@ def view_report(folder: Path, photos: list, before: list, found: list, given: in
         before: the same views at the start.
         found: the same of what was recovered.
         given: how many were given.
+        drawn: what is drawn of each, from ``draw_views``; default: the images themselves.
 
     Returns:
         Lines of a report.
     """
-    shown = (0, 3, given, given + 1)
-    rows = [images[i] for images in (photos, before, found) for i in shown]
+    shown = shown_views(given)
+    rows = [images[i] for images in (drawn or (photos, before, found)) for i in shown]
     titles = [f"photograph {i}" + (", not given" if i >= given else "") for i in shown] + ["start"] * len(shown)
     titles += [f"recovered, {psnr(found[i], photos[i]):.1f} dB" for i in shown]
     plots.side_by_side(folder / "result.png", rows, titles, columns=len(shown))

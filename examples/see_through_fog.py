@@ -41,7 +41,9 @@ PHOTO_SEED, REPORT_EVERY = 2**32 - 1000, 20
 #: Learning rates of rotation, translation and the density's logarithm; constant for a share of the steps, then falling
 #: to this factor.
 RATES, CONSTANT, FALL = (0.04, 0.02, 0.03), 0.5, 0.02
-GIVEN, OVERVIEW = (0, 1), 2
+#: Cameras whose pixels the fit compares, and those of the pictures: the same two with more pixels along a side, and one
+#: from further back.
+GIVEN, SHOWN, FINER = (0, 1), (2, 3, 4), 3
 #: Light is scattered once: by the fog, or by the floor.
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
 
@@ -74,14 +76,17 @@ def load(vertices: np.ndarray, faces: np.ndarray, width: int) -> psdr.Parameters
         film = {"type": "hdrfilm", "width": width, "height": 2 * width // 3, "rfilter": {"type": "box"}}
         return {"type": "perspective", "fov": fov, "to_world": t.look_at(origin, target, [0, 1, 0]), "film": film}
 
+    front, side = ([0, 1.6, 6], [0, 0.3, 0], 32.0), ([6, 1.6, 0], [0, 0.3, 0], 32.0)
     fog = {"type": "homogeneous", "sigma_t": THIN, "albedo": 0.9, "phase": {"type": "hg", "g": 0.3}}
     lamp = t.translate([0.2, 3.6, 0.15]) @ t.rotate([1, 0, 0], 90) @ t.scale(0.2)
     radiance = {"type": "rgb", "value": [270.0, 240.0, 180.0]}
     scene = {
         "type": "scene",
-        "front": camera([0, 1.6, 6], [0, 0.3, 0], 32.0, width),
-        "side": camera([6, 1.6, 0], [0, 0.3, 0], 32.0, width),
-        "overview": camera([2.5, 2.6, 7], [0, 1.35, 0], 38.0, 2 * width),
+        "front": camera(*front, width),
+        "side": camera(*side, width),
+        "front_shown": camera(*front, FINER * width),
+        "side_shown": camera(*side, FINER * width),
+        "overview": camera([2.5, 2.6, 7], [0, 1.35, 0], 38.0, FINER * width),
         "floor": {
             "type": "rectangle",
             "to_world": t.rotate([1, 0, 0], -90) @ t.scale(8),
@@ -129,14 +134,14 @@ def main(folder: Path = ROOT / "out" / "fog", *, width: int = 48, steps: int = 2
         logarithm.assign(np.log([density]).astype(np.float32))
         move()
 
-    def pictures(seed: int) -> list[np.ndarray]:
+    def pictures(seed: int, cameras: tuple[int, ...] = SHOWN) -> list[np.ndarray]:
         options = {"integrator": INTEGRATOR, "spp": 32 * spp}
-        return [psdr.render(scene, sensor=i, seed=seed + i, **options).numpy() for i in (*GIVEN, OVERVIEW)]
+        return [psdr.render(scene, sensor=i, seed=seed + i, **options).numpy() for i in cameras]
 
     state(TRUTH, THICK)
     photographs = pictures(PHOTO_SEED)
     derivatives(folder, params, 32 * spp)
-    targets = [wp.array(photographs[i], dtype=wp.vec3, device="cpu") for i in GIVEN]
+    targets = [wp.array(target, dtype=wp.vec3, device="cpu") for target in pictures(PHOTO_SEED, GIVEN)]
     state(START, THIN)
     before = pictures(PHOTO_SEED + 100)
     optimisers = [Adam([array], lr=rate, betas=(0.9, 0.95)) for array, rate in zip(unknown, RATES, strict=True)]
@@ -188,11 +193,12 @@ def derivatives(folder: Path, params: psdr.Parameters, spp: int) -> None:
     drawn = {}
     for title, tangent in tangents.items():
         params.requires_grad_only(*tangent)
-        image = psdr.render_forward(params.scene, params, tangent, integrator=INTEGRATOR, spp=spp)
+        image = psdr.render_forward(params.scene, params, tangent, sensor=SHOWN[0], integrator=INTEGRATOR, spp=spp)
         drawn[title] = image.numpy()
     params.requires_grad_only(POSITIONS, DENSITY)
-    image = psdr.render(params.scene, integrator=INTEGRATOR, spp=spp).numpy()
-    plots.side_by_side(folder / "derivatives.png", [image], ["image"], columns=4, differences=drawn)
+    image = psdr.render(params.scene, sensor=SHOWN[0], integrator=INTEGRATOR, spp=spp).numpy()
+    plots.side_by_side(folder / "derivatives.png", [image], ["image"], columns=4, differences=drawn,
+                       difference_quantity=plots.RADIANCE_DERIVATIVE)  # fmt: skip
 
 
 if __name__ == "__main__":

@@ -106,7 +106,7 @@ def draw_edges(folder: Path, params, integrator, name: str, sensor: int = DRAWN_
     shape = next(s for s in params.scene.description.shapes if f"{s.path}.vertex_positions" == name)
     surface = pyvista.PolyData.from_regular_faces(vertices, shape.faces)
     eye = np.asarray(params.scene.description.sensors[sensor].to_world)[:3, 3]
-    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - [0.0, 0.12, 0.0]  # room for the colour bar
+    middle = 0.5 * (vertices.min(axis=0) + vertices.max(axis=0)) - [0.0, 0.18, 0.0]  # room for the colour bar
     pull = "pull [W/m²/sr of the mean radiance per world unit]"
     panels = {
         "samples": {

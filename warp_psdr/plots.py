@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import os
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, Literal
@@ -36,6 +37,8 @@ _PICTURE_PIXELS = 640
 _DPI = 100
 #: Inches above and below a picture for its title and size.
 _CAPTION = 0.5
+#: Letters of a caption in an inch, and the inches of each further line.
+_LETTERS, _LINE = 13.0, 0.15
 #: What images hold, derivatives of images, and gradients of losses: names and units at colour bars.
 RADIANCE = "radiance [W/m²/sr]"
 RADIANCE_DERIVATIVE = "radiance [W/m²/sr] per unit of the parameter"
@@ -272,6 +275,7 @@ def side_by_side(
     title: str = "",
     quantity: str = RADIANCE,
     differences: Mapping[str, Any] | None = None,
+    difference_quantity: str = "",
     percentile: float = 99.5,
     unseen: Sequence[Any] | None = None,
     unseen_label: str = "hatched: not seen",
@@ -283,13 +287,14 @@ def side_by_side(
     Args:
         path: File to write; the suffix names the format. Or an open binary file, for PNG.
         images: Each (H, W), (H, W, 1) or (H, W, 3), linear; sizes may differ.
-        titles: One an image.
+        titles: One an image; one that is wider than its image takes several lines.
         exposure: In stops, the same for all.
         columns: Images in a row.
         title: Stands above the whole.
         quantity: Name and unit of the values; stands at the colour bar.
         differences: Title -> signed image. These follow the images: the mean of their channels on one scale that is
             symmetric about zero, with a colour bar of its own.
+        difference_quantity: Name and unit of these values; without one they are differences of ``quantity``.
         percentile: Of the magnitudes of all differences; their colour range ends there.
         unseen: One an image: a mask (H, W) of pixels that carry no information and are hatched, or None.
         unseen_label: Says what the hatching means.
@@ -312,26 +317,32 @@ def side_by_side(
     width = min(width, 12.0 / columns)  # inches: the whole stays readable on a screen
     # A row is as high as its highest picture: wide pictures leave no white below them.
     rows = [shapes[i : i + columns] for i in range(0, len(shapes), columns)]
-    heights = [width * max(h / w for h, w in row) + _CAPTION for row in rows]
+    captions = [_wrapped(caption, width) for caption in (*titles, *signed)]
+    lines = [max(text.count("\n") for text in captions[i : i + columns]) for i in range(0, len(shapes), columns)]
+    heights = [
+        width * max(h / w for h, w in row) + _CAPTION + _LINE * more for row, more in zip(rows, lines, strict=True)
+    ]
     bars = 1.0 + bool(signed)
     figure = _figure(columns * width, sum(heights), extra_width=bars, extra_height=0.25 + (0.3 if title else 0.0))
     grid = figure.add_gridspec(len(rows), columns, height_ratios=heights)
     axes = [figure.add_subplot(grid[i // columns, i % columns]) for i in range(len(shapes))]
-    for panel, (picture, mask), caption in zip(axes, cells, titles, strict=False):
+    for panel, (picture, mask), caption in zip(axes, cells, captions, strict=False):
         shown = picture if mask is None else _hatched(picture, np.asarray(mask, bool))
         levels = np.round(255.0 * shown).astype(np.uint8)  # matplotlib itself would round down
         panel.imshow(levels, interpolation="nearest" if max(shown.shape[:2]) < _PICTURE_PIXELS else "auto")
         panel.set_title(caption, fontsize=9)
     limit = symmetric_limit(np.concatenate([v.reshape(-1) for v in signed.values()]), percentile) if signed else 1.0
-    for panel, (caption, values) in zip(axes[len(cells) :], signed.items(), strict=True):
+    rest = zip(axes[len(cells) :], captions[len(cells) :], signed.values(), strict=True)
+    for panel, caption, values in rest:
         drawn = _draw_signed(panel, values, limit)
         panel.set_title(caption, fontsize=9)
     for panel, (h, w) in zip(axes, shapes, strict=True):
         panel.set(xticks=[], yticks=[])
         panel.set_xlabel(f"{w} × {h}", fontsize=7, color="0.4", labelpad=2)
     if signed:
-        _signed_bar(figure, drawn, axes, np.concatenate([v.reshape(-1) for v in signed.values()]), limit,
-                    f"difference of {quantity},\nmean of RGB")  # fmt: skip
+        of = difference_quantity or f"difference of {quantity}"
+        every = np.concatenate([v.reshape(-1) for v in signed.values()])
+        _signed_bar(figure, drawn, axes, every, limit, f"{of},\nmean of RGB")
     _grey_bar(figure, axes, quantity, exposure)
     if any(mask is not None for mask in masks):
         figure.supxlabel(unseen_label, fontsize=8)
@@ -388,6 +399,12 @@ def error_against_time(
     axes.grid(True, which="both", alpha=0.25)
     axes.legend(fontsize=8)
     _save(figure, path)
+
+
+def _wrapped(caption: str, width: float) -> str:
+    """Return a caption whose lines are no wider than a picture of ``width`` inches, where they have spaces."""
+    letters = max(int(_LETTERS * width), 8)
+    return "\n".join(textwrap.fill(line, letters, break_long_words=False) for line in caption.split("\n"))
 
 
 def _image(image: Any) -> np.ndarray:

@@ -1,10 +1,10 @@
 """Directives whose text is made when the documentation is built: from the code's tables, and from measurements.
 
 ``{methods}`` is ``psdr.methods()``, ``{about-method} OPTION`` one row of it; ``{plugins} KIND`` what the loader reads
-of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models; ``{api}``
-the public names; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output`` of the benchmarks
-writes, or slopes with the commits that recorded them; ``{combinations}`` what may be attached together, and what
-materials are not.
+of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models;
+``{api} GROUP`` names of the API; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output``
+of the benchmarks writes, or slopes with the commits that recorded them; ``{combinations}`` what may be attached
+together, and what materials are not.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import json
 import math
 from pathlib import Path
 
+import api_names
 import plugin_parameters
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -59,13 +60,11 @@ class Methods(Generated):
 
     def text(self) -> str:
         """Return the table."""
-        lines = ["| paper | term | option | file | page |", "|---|---|---|---|---|"]
+        lines = ["| method | term | option, file |", "|---|---|---|"]
         for m in psdr.methods():
             page = m.page.rpartition("/")[2]
-            lines.append(
-                f"| {m.paper} {{cite}}`{m.key}` | {m.term} | `{m.option}` | `{m.file}` "
-                f"| [{page.removesuffix('.md')}](/methods/{page}) |"
-            )
+            method = f"[{m.paper}](/methods/{page}) {{cite}}`{m.key}`"
+            lines.append(f"| {method} | {m.term} | `{m.option}` <br> `{m.file}` |")
         return "\n".join(lines)
 
 
@@ -121,20 +120,23 @@ class Plugins(Generated):
 
     def text(self) -> str:
         """Return a table; plugins that are read alike share a row."""
-        lines = ["| plugin | parameters that are read | values in `psdr.traverse` |", "|---|---|---|"]
+        lines = _swatches(self.arguments[0])
+        lines += ["| plugin | parameters that are read | values in `psdr.traverse` |", "|---|---|---|"]
         rows: dict[tuple[str, str], list[str]] = {}
         for plugin in plugin_parameters.plugins(self.arguments[0]):
             read = ", ".join(f"`{p}`" for p in plugin.read) or "–"
             values = ", ".join(f"`{v}`" for v in plugin.values) or "–"
-            rows.setdefault((read, values), []).append(f"{_swatch(self.arguments[0], plugin.name)}`{plugin.name}`")
+            rows.setdefault((read, values), []).append(f"`{plugin.name}`")
         lines += [f"| {', '.join(names)} | {read} | {values} |" for (read, values), names in rows.items()]
         return "\n".join(lines)
 
 
-def _swatch(kind: str, name: str) -> str:
-    """Return the picture of a plugin, if it has one (``swatches.py``)."""
-    file = SWATCHES / f"{kind}_{name}.png"
-    return f"![{name}](/swatches/{file.name}) " if file.exists() else ""
+def _swatches(kind: str) -> list[str]:
+    """Return the pictures of a kind of plugins that ``swatches.py`` has made, as a grid."""
+    files = sorted(SWATCHES.glob(f"{kind}_*.png"))
+    names = [file.stem.removeprefix(f"{kind}_") for file in files]
+    cells = [f":::{{figure}} /swatches/{f.name}\n:alt: {n}\n\n`{n}`\n:::" for f, n in zip(files, names, strict=True)]
+    return ["::::{container} picture-grid", *"\n".join(cells).splitlines(), "::::", ""] if cells else []
 
 
 class Models(Generated):
@@ -186,22 +188,27 @@ def _parameter(parameter) -> tuple[str, str, str]:
 
 
 class Api(Generated):
-    """All public names, with the names of public modules behind them."""
+    """The public names of one group of ``api_names.GROUPS``, or of a public module, ``psdr.losses``."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
 
     def text(self) -> str:
         """Return autodoc's directives."""
-        out: list[str] = []
-        modules = []
-        for name in psdr.__all__:
-            value = getattr(psdr, name)
-            if inspect.ismodule(value):
-                modules.append((name, value))
-            else:
-                out += _directive("warp_psdr", name, value)
-        for name, module in modules:
-            out += [f"## psdr.{name}", "", inspect.getdoc(module) or "", ""]
-            for inner in _public(module):
-                out += _directive(module.__name__, inner, getattr(module, inner))
+        title = self.arguments[0]
+        if not title.startswith("psdr."):
+            names = [name for name in psdr.__all__ if not inspect.ismodule(getattr(psdr, name))]
+            return "\n".join(
+                line
+                for name in api_names.grouped(names)[title]
+                for line in _directive("warp_psdr", name, getattr(psdr, name))
+            )
+        if title == "psdr.torch":  # PyTorch is not installed everywhere: autodoc loads it
+            return "```{eval-rst}\n.. automodule:: warp_psdr.torch\n   :members:\n```"
+        module = getattr(psdr, title.removeprefix("psdr."))
+        out = [inspect.getdoc(module) or "", ""]
+        for inner in _public(module):
+            out += _directive(module.__name__, inner, getattr(module, inner))
         return "\n".join(out)
 
 

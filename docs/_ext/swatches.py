@@ -3,9 +3,9 @@
     python docs/_ext/swatches.py            # all of them
     python docs/_ext/swatches.py bsdf       # those of one kind
 
-They are committed (``docs/swatches``, some kB each): the documentation is built without rendering. What a plugin needs
-to be loaded is that of ``plugin_parameters.py``, and ``LOOKS`` where it shows little. Plugins whose kernels are large
-are rendered a few at a time.
+They are committed (``docs/swatches``, 256 colours, some 15 kB each): the documentation is built without rendering.
+What a plugin needs to be loaded is that of ``plugin_parameters.py``, and ``LOOKS`` where it shows little. Plugins whose
+kernels are large are rendered a few at a time.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import plugin_parameters
 import warp as wp
+from PIL import Image as Picture
 
 import warp_psdr as psdr
 from warp_psdr import image_io
@@ -25,7 +26,9 @@ from warp_psdr.scene.plugins import PLUGINS
 
 FOLDER = Path(__file__).resolve().parents[1] / "swatches"
 #: Width and height of a picture, samples a pixel, plugins of one scene, and their distance in it.
-SIZE, SPP, TOGETHER, APART = 48, 512, 4, 12.0
+SIZE, SPP, TOGETHER, APART = 160, 256, 4, 12.0
+#: Colours of a picture, which keep its file small.
+COLORS = 256
 T = psdr.Transform
 INTEGRATOR = psdr.PathIntegrator(max_depth=8)
 KINDS = ("bsdf", "texture", "emitter")
@@ -43,6 +46,7 @@ RED, BLUE = (
     {"type": "diffuse", "reflectance": _rgb(0.7, 0.2, 0.1)},
     {"type": "diffuse", "reflectance": _rgb(0.1, 0.2, 0.7)},
 )
+TWOSIDED = {"type": "twosided", "bsdf": RED}
 GOLD = {"type": "roughconductor", "material": "Au", "alpha": 0.2}
 _WAVES = np.sin(np.linspace(0.0, 24.0 * np.pi, 96, endpoint=False))
 #: What a plugin's picture has beside, or in place of, what it needs.
@@ -58,7 +62,10 @@ LOOKS: dict[str, dict] = {
     "orennayar": {"reflectance": _rgb(0.7, 0.2, 0.1), "sigma": 0.6},
     "ashikhminshirley": {"reflectance": _rgb(0.6, 0.2, 0.1)},
     "twosided": {"bsdf": RED},
-    "mask": {"opacity": {"type": "checkerboard", "color0": 1.0, "color1": 0.0, "to_uv": T.scale([8, 4, 1])}, "a": RED},
+    "mask": {
+        "opacity": {"type": "checkerboard", "color0": 1.0, "color1": 0.0, "to_uv": T.scale([8, 4, 1])},
+        "a": TWOSIDED,
+    },
     "blendbsdf": {"weight": 0.5, "a": RED, "b": GOLD},
     "normalmap": {
         "normalmap": {
@@ -97,7 +104,7 @@ LOOKS: dict[str, dict] = {
         "scale": 30.0,
     },
     "directional": {"direction": [-0.4, 0.6, -1.0], "irradiance": 2.5},
-    "sunsky": {"sun_direction": [0.5, -0.6, 0.8], "sky_scale": 6.0, "sun_scale": 3.0},
+    "sunsky": {"sun_direction": [0.6, -0.5, 0.5], "turbidity": 3.0, "sky_scale": 3.5, "sun_scale": 2.0},
 }
 
 
@@ -107,11 +114,24 @@ def names_of(kind: str) -> list[str]:
 
 
 def _sky() -> dict:
-    """Return a grey sky with two windows, which smooth surfaces mirror."""
-    texels = np.full((16, 32, 3), 0.35, np.float32)
-    texels[:8] += np.linspace(0.6, 0.0, 8)[:, None, None]
-    texels[3:6, 3:6], texels[4:7, 25:29] = 6.0, [3.0, 2.6, 2.0]
+    """Return a dim sky with a bright and a warm window, which glossy surfaces mirror."""
+    texels = np.full((64, 128, 3), 0.2, np.float32)
+    texels[:32] += np.linspace(0.3, 0.1, 32)[:, None, None]
+    texels[11:24, 12:25], texels[17:29, 98:118] = 8.0, [4.5, 3.4, 2.2]
     return {"type": "envmap", "bitmap": texels, "to_world": T.rotate([1, 0, 0], 90)}
+
+
+def _landscape() -> dict:
+    """Return a sky that shows what a map of the surroundings is: blue above, a low sun, hills and a green ground."""
+    v, u = np.meshgrid((np.arange(96) + 0.5) / 96, (np.arange(192) + 0.5) / 192, indexing="ij")
+    up = np.cos(np.pi * v)[..., None]
+    texels = np.array([0.9, 0.6, 0.35]) + (np.array([0.1, 0.3, 0.9]) - [0.9, 0.6, 0.35]) * np.clip(2.5 * up, 0.0, 1.0)
+    hills = (0.10 + 0.05 * np.sin(14.0 * np.pi * u) + 0.04 * np.sin(6.0 * np.pi * u + 1.0))[..., None]
+    texels = np.where(up < hills, [0.12, 0.16, 0.3], texels)
+    texels = np.where(up < 0.0, [0.1, 0.3, 0.08], texels)
+    sun = np.exp(-(((u - 0.12) * 2.0) ** 2 + (v - 0.33) ** 2) / 0.0012)[..., None]
+    bitmap = (texels + sun * [40.0, 32.0, 20.0]).astype(np.float32)
+    return {"type": "envmap", "bitmap": bitmap, "to_world": T.rotate([1, 0, 0], 90)}
 
 
 def _ball(x: float, bsdf: dict) -> dict:
@@ -157,7 +177,9 @@ def _cell(kind: str, name: str, x: float) -> dict:
         if name == "volume":
             plugin["volume"] = {**plugin["volume"], "to_world": T.translate([x, 0, 0]) @ plugin["volume"]["to_world"]}
         return _ball(x, {"type": "diffuse", "reflectance": plugin})
-    cell = _ball(x, {"type": "plastic", "diffuse_reflectance": _rgb(0.5, 0.5, 0.5)})
+    skies = ("envmap", "sunsky")  # which a mirror shows
+    grey = {"type": "plastic", "diffuse_reflectance": _rgb(0.5, 0.5, 0.5)}
+    cell = _ball(x, {"type": "conductor"} if name in skies else grey)
     if name in ("area", "directionalarea"):
         pose = T.translate([x, 0, 2.2]) @ T.rotate([1, 0, 0], 180) @ T.scale(0.9)
         return {**cell, "lamp": {"type": "rectangle", "to_world": pose, "emitter": plugin}}
@@ -166,7 +188,7 @@ def _cell(kind: str, name: str, x: float) -> dict:
             plugin[key] = (
                 T.translate([x, 0, 0]) @ plugin[key] if key == "to_world" else np.add(plugin[key], [x, 0, 0]).tolist()
             )
-    return {**cell, "light": _sky() if name == "envmap" else plugin}
+    return {**cell, "light": _landscape() if name == "envmap" else plugin}
 
 
 def render(kind: str, names: list[str]) -> Iterable[tuple[str, np.ndarray]]:
@@ -184,6 +206,13 @@ def render(kind: str, names: list[str]) -> Iterable[tuple[str, np.ndarray]]:
         yield name, psdr.render(loaded, sensor=f"camera_{name}", integrator=INTEGRATOR, spp=SPP).numpy()
 
 
+def write(file: Path, image: np.ndarray) -> None:
+    """Write a linear image as a PNG of few colours."""
+    picture = Picture.fromarray(np.round(255.0 * image_io.linear_to_srgb(image)).astype(np.uint8))
+    colors = picture.quantize(COLORS)
+    picture.quantize(palette=colors, dither=Picture.Dither.FLOYDSTEINBERG).save(file, optimize=True)
+
+
 def main() -> None:
     """Write the pictures."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -196,7 +225,7 @@ def main() -> None:
         together = 1 if kind == "emitter" else TOGETHER  # lights shine on their neighbours
         for group in [names[i : i + together] for i in range(0, len(names), together)]:
             for name, image in render(kind, group):
-                image_io.write_image(FOLDER / f"{kind}_{name}.png", image)
+                write(FOLDER / f"{kind}_{name}.png", image)
                 print(f"{kind} {name}", flush=True)
 
 

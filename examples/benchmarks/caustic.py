@@ -19,6 +19,8 @@ NAME = "floor.bsdf.reflectance.value"
 #: Radiance from which on a pixel of the floor counts for the caustic; direct light gives a third of it.
 BRIGHT = 0.6
 BATCHES = 8
+#: Pixels along a side of the picture for each of the table's images.
+FINER = 2
 
 
 def described(point: bool, size: int) -> dict:
@@ -60,7 +62,7 @@ def main() -> None:
     report = Report("caustic", options.output)
     methods = {"path tracing": psdr.interior.Replay(), "light tracing": psdr.interior.LightTracing()}
     cases = [("sphere", "path tracing", 4 * spp), ("sphere", "light tracing", spp), ("point", "light tracing", spp)]
-    images, rows, gains = [], [], {}
+    rows, gains = [], {}
     for light, label, samples in cases:
         scene = psdr.load_dict(described(light == "point", size))
         params = psdr.traverse(scene)
@@ -69,8 +71,7 @@ def main() -> None:
         for what in ("image", "derivative"):
             seconds, batches = _batches(scene, params, what == "derivative", chosen)
             if what == "image":
-                images.append(batches.mean(axis=0))
-                caustic = _caustic(scene, images[-1]) if label == "light tracing" else _caustic(scene, None)
+                caustic = _caustic(scene, batches.mean(axis=0) if label == "light tracing" else None)
             noise = float(np.sqrt(batches.var(axis=0, ddof=1)[caustic].mean()) / batches[:, caustic].mean())
             row |= {f"{what}: seconds": seconds, f"{what}: noise": noise}
             gains.setdefault(what, noise**2 * seconds)
@@ -78,7 +79,19 @@ def main() -> None:
         rows.append(row)
     report.table(f"Caustic of a glass ball, {size} × {size} pixels, depth {DEPTH}", rows)
     if options.picture:
-        psdr.write_image(options.picture, np.concatenate(images, axis=1).astype(np.float32))
+        draw(options.picture, methods, cases, size * FINER)
+
+
+def draw(picture: Path, methods: dict, cases: list[tuple[str, str, int]], size: int) -> None:
+    """Write the images of the cases side by side; each is the mean of all batches."""
+    images = []
+    for light, label, samples in cases:
+        scene = psdr.load_dict(described(light == "point", size))
+        chosen = {"integrator": psdr.PathIntegrator(max_depth=DEPTH, interior=methods[label]), "spp": samples}
+        batches = [psdr.render(scene, seed=seed, **chosen).numpy() for seed in range(1, BATCHES + 1)]
+        images.append(np.mean(batches, axis=0))
+    titles = [f"{light}, {label}, {BATCHES} x {samples} samples" for light, label, samples in cases]
+    psdr.plots.side_by_side(picture, images, titles, columns=len(images))
 
 
 def _batches(scene, params, derivative: bool, options: dict) -> tuple[float, np.ndarray]:

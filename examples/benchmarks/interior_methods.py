@@ -63,7 +63,7 @@ def _serves(scene, params, integrator) -> bool:
 
 def _interior(option: str) -> psdr.interior.Method:
     """Return the method of an option such as "interior.Replay()"."""
-    return eval(option, vars(psdr))
+    return eval(option, {"interior": psdr.interior})
 
 
 def _gradients(scene, params, adjoint, integrator, spp: int, seeds: int) -> tuple[float, np.ndarray]:

@@ -181,6 +181,6 @@ def test_samples_that_carry_little_are_left_out_of_the_picture() -> None:
     edge_fields.draw_samples(plotter, samples, least=0.1, title="pull [W/m²/sr per world unit]")
     lines, points = plotter.meshes
     assert (lines.n_cells, points.n_points) == (3, 3)
-    assert plotter.options[1]["scalar_bar_args"]["title"] == "pull [W/m²/sr per world unit]"
+    assert plotter.options[1]["scalar_bar_args"]["title"] == "pull [W/m²/sr per world unit]\n"
     assert samples.of_kind("primary").magnitude.tolist() == [1.0, 0.5]
     assert samples.of_kind("secondary").magnitude.tolist() == [0.01, 0.2]

@@ -1,5 +1,6 @@
 """The plots, looked at pixel by pixel: colours mean what the docstrings say, and no file is ever half written."""
 
+import itertools
 import subprocess
 import sys
 from pathlib import Path
@@ -287,6 +288,23 @@ def test_differences_are_signed_on_one_symmetric_scale(figures: list) -> None:
     signed, grey = bars(figures[0])
     assert "difference of radiance [W/m²/sr]" in signed.get_ylabel()
     assert plots.RADIANCE in grey.get_ylabel()
+
+
+def test_derivatives_beside_an_image_have_a_quantity_of_their_own(figures: list) -> None:
+    image = np.full((4, 4), 0.5)
+    plots.side_by_side("s.png", [image], ["a"], differences={"b": image}, difference_quantity="d radiance / dt")
+    signed, grey = bars(figures[0])
+    assert signed.get_ylabel().startswith("d radiance / dt,")
+    assert plots.RADIANCE in grey.get_ylabel()
+
+
+def test_titles_of_narrow_pictures_do_not_overprint_each_other(figures: list) -> None:
+    titles = [f"recovered, view {i} of a long fit, 38.1 dB" for i in range(8)]
+    plots.side_by_side("s.png", [np.ones((30, 40))] * 8, titles, columns=8)
+    figures[0].draw_without_rendering()
+    boxes = [axes.title.get_window_extent() for axes in figures[0].axes[:8]]
+    assert all(left.x1 < right.x0 for left, right in itertools.pairwise(boxes))
+    assert max(box.y1 for box in boxes) <= figures[0].bbox.y1
 
 
 def test_a_row_is_as_high_as_its_pictures(figures: list) -> None:

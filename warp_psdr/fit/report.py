@@ -53,9 +53,8 @@ def write_report(problem: Problem, losses: np.ndarray) -> tuple[float, ...]:
     scores = tuple(psnr(image, target) for image, target in zip(images, problem.targets, strict=True))
     starts = [image_io.read_image(output / "start" / f"view_{i}.exr") for i in range(len(images))]
     rows = {"target": problem.targets, "start": starts, "recovered": images}
-    titles = [f"{name}, view {i}" for name in rows for i in range(len(images))]
-    for i, score in enumerate(scores):
-        titles[2 * len(images) + i] += f", {score:.1f} dB"
+    titles = [f"target, view {i}" for i in range(len(images))] + ["start"] * len(images)
+    titles += [f"recovered, {score:.1f} dB" for score in scores]
     pictures = [image for row in rows.values() for image in row]
     plots.side_by_side(output / VIEWS, pictures, titles, columns=len(images))
     plots.loss_curve(output / "loss.png", losses, ylabel=LOSS_NAMES[problem.config.loss])

@@ -316,7 +316,7 @@ def draw_density(plotter: Any, density: EdgeDensity, *, line_width: float = 2.5)
 def _bar(title: str) -> dict[str, Any]:
     """Return options of a colour bar below what is drawn."""
     return {
-        "title": title,
+        "title": f"{title}\n",  # the empty line keeps it off the numbers
         "color": "black",
         "fmt": "%.0e",
         "n_labels": 3,
