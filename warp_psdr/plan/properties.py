@@ -25,19 +25,19 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
     require_steady(scene, sensor, "psdr.AovIntegrator")
     if config.shown == "position" and scene.origin.any():
         raise ValueError(
-            "AovIntegrator('position'): the scene is far from the origin of the world, where float32 keeps no digits "
+            "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no digits "
             "of positions; take 'depth', or move the scene to the origin"
         )
     if not names:
         return
     if config.shown == "sh_normal" and config.primitives:
         raise ValueError(
-            "AovIntegrator('sh_normal'): derivatives of normals are those of meshes; leave out 'exact', or take "
+            "AovIntegrator(aov='sh_normal'): derivatives of normals are those of meshes; leave out 'exact', or take "
             "'mask', 'depth' or 'position', which shapes without triangles have, too"
         )
     turns = [name for name in names if name.rpartition(".")[2] in _TURNS_RAYS]
     if config.shown == "depth" and turns:
         raise ValueError(
-            f"AovIntegrator('depth'): {turns[0]} moves the near clip plane along the rays, of which depth has no "
+            f"AovIntegrator(aov='depth'): {turns[0]} moves the near clip plane along the rays, of which depth has no "
             "derivative; take 'position'"
         )
