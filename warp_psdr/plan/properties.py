@@ -25,8 +25,8 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
     require_steady(scene, sensor, "psdr.AovIntegrator")
     if config.shown == "position" and scene.origin.any():
         raise ValueError(
-            "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no digits "
-            "of positions; take 'depth', or move the scene to the origin"
+            "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no "
+            "digits of positions; take 'depth', or move the scene to the origin"
         )
     if not names:
         return
