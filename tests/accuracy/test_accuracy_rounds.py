@@ -44,7 +44,7 @@ def made_up(
 
     what = SimpleNamespace(
         role="reverse", parts=tuple(part(i, *term) for i, term in enumerate(terms)), blocks={"x": slice(0, components)},
-        raster=(1, 1, 0), finished=lambda x: x, adjoint=None, sensor=0,
+        raster=(1, 1, 0), finished=lambda x: x, adjoint=None, sensor=0, each=(),
         scene=SimpleNamespace(camera=lambda _sensor: SimpleNamespace(crop_width=1, crop_height=1)),
         plan=SimpleNamespace(interior=None, boundary=None, discontinuities=(), wanted=None),
     )  # fmt: skip
