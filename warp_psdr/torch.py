@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.plan import decide
@@ -156,7 +157,7 @@ class _Render(torch.autograd.Function):
         image = render_image(call.scene, spp=call.spp, spp_grad=call.spp_grad, seed=call.seed, **call.options)
         ctx.call = call
         ctx.like = [(tensor.shape, tensor.dtype, tensor.device) for tensor in tensors]
-        return torch.from_numpy(image.numpy().copy()).to(tensors[0].device if tensors else "cpu")
+        return _tensor(image).to(tensors[0].device if tensors else "cpu")
 
     @staticmethod
     def backward(ctx: Any, adjoint: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
@@ -172,11 +173,10 @@ class _Render(torch.autograd.Function):
         later = call.scene.state()
         call.scene.restore(ctx.state)
         try:
-            render_backward(call.scene, params, _numpy(adjoint), spp=call.gradient_spp, seed=call.seed, **call.options)
+            given = _adjoint(adjoint, call.scene.device)
+            render_backward(call.scene, params, given, spp=call.gradient_spp, seed=call.seed, **call.options)
             gradients = [
-                torch.from_numpy(params[name].grad.numpy().copy()).to(dtype=dtype, device=device).reshape(shape)
-                if wanted
-                else None
+                _tensor(params[name].grad).to(dtype=dtype, device=device).reshape(shape) if wanted else None
                 for name, wanted, (shape, dtype, device) in zip(call.names, call.wanted, ctx.like, strict=True)
             ]
         finally:
@@ -189,7 +189,23 @@ class _Render(torch.autograd.Function):
         given = {name: _numpy(t) for name, t in zip(call.names, tangents, strict=True) if t is not None}
         params = traverse(call.scene)
         image = render_forward(call.scene, params, given, spp=call.gradient_spp, seed=call.seed, **call.options)
-        return torch.from_numpy(image.numpy().copy()).to(ctx.like[0][2])
+        return _tensor(image).to(ctx.like[0][2])
+
+
+def _tensor(array: wp.array) -> torch.Tensor:
+    """Return an array's memory as a tensor, on the array's device; nobody else holds the array."""
+    device = wp.get_device(array.device)
+    if device.is_cuda:
+        wp.synchronize_device(device)  # PyTorch's streams are others
+    return wp.to_torch(array, requires_grad=False)
+
+
+def _adjoint(tensor: torch.Tensor, device: wp.Device) -> Any:
+    """Return the adjoint of an image as an array of vec3 on the scene's device."""
+    values = tensor.detach().to(device=wp.device_to_torch(device), dtype=torch.float32).contiguous()
+    if values.is_cuda:
+        torch.cuda.synchronize(values.device)
+    return wp.from_torch(values, dtype=wp.vec3, requires_grad=False)
 
 
 def _numpy(tensor: torch.Tensor) -> np.ndarray:
