@@ -35,6 +35,7 @@ TEXTURED = PathConfig(
 )
 ALL_LIGHTS = PathConfig(**{**vars(SIMPLE), "lights": LIGHTS, "one_light": False, "filter": c.RFILTER_GAUSSIAN})
 ORTHOGRAPHIC = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_ORTHOGRAPHIC})
+SHOWN_DEPTH, SHOWN_NORMAL = (PathConfig(**{**vars(SIMPLE), "shown": aov}) for aov in ("depth", "sh_normal"))
 IRRADIANCE = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_IRRADIANCEMETER})
 THIN_LENS = PathConfig(**{**vars(SIMPLE), "camera": c.CAMERA_THINLENS})
 THIN_LENS_SMOOTH = PathConfig(**{**vars(THIN_LENS), "smooth": True})

@@ -41,6 +41,8 @@ from tests.cuda_configs import (
     NOTED_MATERIALS,
     ORTHOGRAPHIC,
     ORTHOGRAPHIC_SMOOTH,
+    SHOWN_DEPTH,
+    SHOWN_NORMAL,
     SLIDING_MIRRORS,
     SPHERE,
     SPLAT,
@@ -300,6 +302,10 @@ FACTORIES = {
         ("forward", (MAPPED, everything(MAPPED, to_uv=True), "forward"), SLOW),
         ("resampled", (MAPPED, everything(MAPPED, to_uv=True), "reverse", 16), SLOW),
     ],
+    "interior.property.make_property_kernel": [
+        ("reverse, depth", (SHOWN_DEPTH, GEOMETRY, "reverse"), FAST),
+        ("forward, normal", (SHOWN_NORMAL, GEOMETRY, "forward"), SLOW),
+    ],
     "interior.film_antithetic.make_film_antithetic_kernel": [
         ("reverse", (SPLAT, all_of(SPLAT), "reverse", 4, True), SLOW),
         ("forward, one by one", (SPLAT_GAUSSIAN, all_of(SPLAT_GAUSSIAN), "forward", 4, False), SLOW),
@@ -344,6 +350,7 @@ FACTORIES = {
         ("forward, thin lens", (THIN_LENS, "forward", True), SLOW),
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
+        ("reverse, depth", (SHOWN_DEPTH, "reverse", False), SLOW),
     ],
     "boundary.path_space.flat_creases.make_flat_creases_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),

@@ -245,7 +245,7 @@ def test_an_optimiser_of_torch_moves_a_network() -> None:
     )
     tensors = {f"body.layer{n}.{key}": getattr(layer, key) for n, layer in enumerate(linear) for key in KEYS}
     options = {"spp": 16, "seed": 2, "integrator": psdr.PathIntegrator(max_depth=1)}
-    optimiser = torch.optim.SGD(module.parameters(), lr=2e-4)
+    optimiser = torch.optim.SGD(module.parameters(), lr=1e-3)
     losses = []
     for _step in range(3):
         optimiser.zero_grad()

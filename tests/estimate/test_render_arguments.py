@@ -115,7 +115,7 @@ def test_sensors_have_ids_and_integrators_mitsubas_form(scene, entry_point: str)
 @pytest.mark.parametrize(
     ("integrator", "kind", "message"),
     [
-        (3, TypeError, r"integrator: got 3, expected a psdr\.PathIntegrator, a dictionary such as"),
+        (3, TypeError, r"integrator: got 3, expected a psdr\.PathIntegrator or AovIntegrator, a dictionary"),
         ("path_tracer", ValueError, "'path_tracer'"),
         ("diffuse", ValueError, "'diffuse' is a bsdf"),
         ({"type": "path", "max_depth": -3}, ValueError, "max_depth"),

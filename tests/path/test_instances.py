@@ -263,7 +263,7 @@ BAD = {
         "singular",
     ),
     "an unknown reference": ({"type": "instance", "g": reference("nobody")}, "unknown id 'nobody'"),
-    "a group of itself": (group(a={"type": "instance", "g": reference("x")}), r"'instance' inside a 'shapegroup'"),
+    "a group of itself": (group(a={"type": "instance", "g": reference("x")}), "this 'shapegroup' contains itself"),
     "a pose of a merged shape": ({"type": "merge", "a": CUBE, "to_world": T.scale(2)}, "no parameter 'to_world'"),
     "a pose of a group": (group(a=CUBE, to_world=T.scale(2)), "no parameter 'to_world'"),
 }
