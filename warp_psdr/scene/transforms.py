@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,19 +15,17 @@ from .errors import SceneError
 FLOAT_MAX = float(np.finfo(np.float32).max)
 
 
-class _Chained:
+class _Chained(staticmethod):
     """Let a constructor be called on the class, or on a transformation that it then extends."""
 
-    def __init__(self, function: Callable[..., np.ndarray]):
-        self.function = function
-        self.__doc__ = function.__doc__
+    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:  # type: ignore[override]
+        function = self.__func__
 
-    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:
+        @functools.wraps(function)  # names of arguments and text, for help() and the documentation
         def call(*args: Any, **kwargs: Any) -> Transform:
-            step = owner(self.function(*args, **kwargs))
+            step = owner(function(*args, **kwargs))
             return step if instance is None else instance @ step
 
-        call.__doc__ = self.__doc__
         return call
 
 
