@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 from collections.abc import Callable
 from typing import Any
@@ -18,14 +19,16 @@ FLOAT_MAX = float(np.finfo(np.float32).max)
 class _Chained(staticmethod):
     """Let a constructor be called on the class, or on a transformation that it then extends."""
 
-    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:  # type: ignore[override]
-        function = self.__func__
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Callable[..., Transform]:
+        function, kind = self.__func__, owner or Transform
 
-        @functools.wraps(function)  # names of arguments and text, for help() and the documentation
+        @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Transform:
-            step = owner(function(*args, **kwargs))
+            step = kind(function(*args, **kwargs))
             return step if instance is None else instance @ step
 
+        # For help() and the documentation; the function itself returns a matrix.
+        call.__signature__ = inspect.signature(function).replace(return_annotation=Transform)  # type: ignore[attr-defined]
         return call
 
 
