@@ -27,6 +27,7 @@ METHOD_SECTIONS = ["Option", "How it works", "Covers and refuses", "Cost and acc
 HEADER_LINES = 15
 #: Letters of a line of code that a page shows without scrolling, in a window of 1400 pixels.
 CODE_COLUMNS = 90
+PAGES_WITH_CODE = ["index.md", "start.md", "from_mitsuba.md", "pytorch.md", "troubleshooting.md", "gallery.md"]
 
 
 def name(path: Path) -> str:
@@ -197,7 +198,7 @@ def test_commands_against_divergence_run(monkeypatch: pytest.MonkeyPatch) -> Non
     assert np.isfinite(names["change"]).all()
 
 
-@pytest.mark.parametrize("page", ["index.md", "start.md", "from_mitsuba.md", "troubleshooting.md", "gallery.md"])
+@pytest.mark.parametrize("page", PAGES_WITH_CODE)
 def test_code_is_not_wider_than_the_page(page: str) -> None:
     text = (DOCS / page).read_text(encoding="utf-8")
     for block in re.findall(r"^```(?:python|bash)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
@@ -247,6 +248,28 @@ def test_the_api_lists_all_public_names_most_called_first(monkeypatch: pytest.Mo
     ]
 
 
+def test_the_api_shows_names_of_arguments_and_no_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = inspect.signature(psdr.Transform.look_at)
+    assert list(shown.parameters) == ["origin", "target", "up"]
+    assert inspect.signature(psdr.Transform().rotate).return_annotation is psdr.Transform
+    # What autodoc asks: of methods that are not static it drops the first argument.
+    assert isinstance(vars(psdr.Transform)["look_at"], staticmethod)
+    pytest.importorskip("sphinx")
+    monkeypatch.syspath_prepend(str(DOCS / "_ext"))
+    generated = importlib.import_module("generated")
+    lines = generated._directive("warp_psdr.scenes", "cornell_box", psdr.scenes.cornell_box)
+    assert "   :no-value:" in lines
+
+
+def test_citation_has_the_fields_of_its_file() -> None:
+    page = (DOCS / "reference" / "bibliography.md").read_text(encoding="utf-8")
+    (entry,) = re.findall(r"^```bibtex\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    plain = entry.replace("{", "").replace("}", "")
+    text = (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    for field in re.findall(r"^(?:title|version|license|  - name): (.+)$", text, re.MULTILINE):
+        assert field.strip('"') in plain
+
+
 @pytest.mark.slow
 def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
@@ -265,13 +288,12 @@ def test_programs_beside_mitsubas_run(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_programs_with_pytorch_run(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("torch")
     monkeypatch.chdir(ROOT)
-    blocks = [code for code in python_blocks("from_mitsuba.md") if needs_torch(code) and not is_mitsubas(code)]
-    names: dict = {"psdr": psdr}
-    for code in blocks:
-        exec(compile(code, "from_mitsuba.md", "exec"), names)
-    assert len(blocks) == 3
+    names: dict = {}
+    for code in python_blocks("pytorch.md"):
+        exec(compile(code, "pytorch.md", "exec"), names)
     assert np.abs(names["gradient"].numpy()).max() > 0.0
     assert names["color"].grad.abs().max() > 0.0
+    assert names["pose"].grad[0, 3].abs() > 0.0
 
 
 @pytest.mark.slow

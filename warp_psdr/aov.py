@@ -72,8 +72,8 @@ def render_aov(
         progress: called with the finished fraction.
 
     Returns:
-        name -> ``wp.array2d``, shape (H, W) of the crop window, or (B, H, W) of a list of sensors, of float32, vec2
-            (``uv``) or vec3.
+        A dictionary, name -> ``wp.array2d``, shape (H, W) of the crop window, or (B, H, W) of a list of sensors, of
+            float32, vec2 (``uv``) or vec3.
 
     Raises:
         ValueError: nothing or an unknown type is asked for, an option is out of range, or with a tape a type without

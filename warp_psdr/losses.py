@@ -56,9 +56,10 @@ def l2(image: wp.array, target: wp.array | np.ndarray, *, weights: Weights = Non
     Args:
         image: Rendered image, ``wp.array2d[vec3]`` of shape ``(H, W)``, ``(B, H, W)`` or ``(H, W, bins)``, or a mask or
             depth of ``render_aov``, float32; differentiable.
-        target: Image of the same shape, or a NumPy array ``(H, W, 3)``, ``(H, W)`` of a mask or depth; a constant.
-        weights: Of the pixels, ``(H, W)``, not negative: the mean is ``sum(weights * loss) / (sum(weights) channels)``,
-            so that 0 leaves pixels out; a constant. None: all alike.
+        target: Image of the same shape, or a NumPy array ``(H, W, 3)``, ``(B, H, W, 3)`` of several sensors, and
+            without the 3 of a mask or depth; a constant.
+        weights: Of the pixels, of the image's shape, ``(H, W)`` or ``(B, H, W)``, not negative: the mean is
+            ``sum(weights * loss) / (sum(weights) channels)``, so that 0 leaves pixels out; a constant. None: all alike.
 
     Returns:
         Array of shape ``(1,)``, float32, on the image's device.

@@ -211,6 +211,8 @@ class LargeSteps(Adam):
     of an ``sdfgrid`` is smoothed likewise, L the Laplacian of its nodes: what light says about the few voxels that the
     surface passes moves the distances around them, too, and what one step adds is band-limited.
 
+    ``state_dict`` and ``load_state_dict`` are those of ``Adam``.
+
     Args:
         params: Parameters of a scene, from ``psdr.traverse``; those to optimise had ``params.requires_grad(name)``.
         lr: Learning rate, the same for every parameter that requires a gradient, or one per name. For positions roughly

@@ -229,6 +229,8 @@ def _directive(module: str, name: str, value) -> list[str]:
     lines = ["```{eval-rst}", f".. {kind}:: {module}.{name}"]
     if kind == "autoclass":
         lines += ["   :members:"]
+    if kind == "autodata":
+        lines += ["   :no-value:"]  # a path of the machine that builds
     return [*lines, "```", ""]
 
 

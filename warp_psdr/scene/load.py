@@ -27,7 +27,7 @@ def load_file(
 
     Args:
         path: an XML file of version 3.x.
-        device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
+        device: Warp device, "cpu" or "cuda:0"; None: Warp's current one, which is a GPU where Warp finds one.
         allow_outside: where the files that the scene names may lie beside the scene's own folder and those below it: a
             folder (and below), several, or True: anywhere, for scenes that you trust. Wherever a name leads to, by
             "..", as an absolute name or by a symbolic link, other files are refused.

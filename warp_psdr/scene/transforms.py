@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+import inspect
 import math
 from collections.abc import Callable
 from typing import Any
@@ -14,19 +16,19 @@ from .errors import SceneError
 FLOAT_MAX = float(np.finfo(np.float32).max)
 
 
-class _Chained:
+class _Chained(staticmethod):
     """Let a constructor be called on the class, or on a transformation that it then extends."""
 
-    def __init__(self, function: Callable[..., np.ndarray]):
-        self.function = function
-        self.__doc__ = function.__doc__
+    def __get__(self, instance: Any, owner: type[Any] | None = None) -> Callable[..., Transform]:
+        function, kind = self.__func__, owner or Transform
 
-    def __get__(self, instance: Transform | None, owner: type[Transform]) -> Callable[..., Transform]:
+        @functools.wraps(function)
         def call(*args: Any, **kwargs: Any) -> Transform:
-            step = owner(self.function(*args, **kwargs))
+            step = kind(function(*args, **kwargs))
             return step if instance is None else instance @ step
 
-        call.__doc__ = self.__doc__
+        # For help() and the documentation; the function itself returns a matrix.
+        call.__signature__ = inspect.signature(function).replace(return_annotation=Transform)  # type: ignore[attr-defined]
         return call
 
 
