@@ -53,26 +53,57 @@ def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
             raise ValueError(f"{p.name} is {wrong} after an edit; write {limits} (psdr.optim keeps to them)")
 
 
+#: Stretches of values that lie closer to each other are one: a call costs as much as a thousand numbers.
+NEAR = 1024
+
+
 class Edits:
     """Checksums (CRC-32) of arrays as the scene followed them last.
 
     Args:
         arrays: By name.
+        values: What holds all of them, to be looked at in few long stretches first; None: they lie elsewhere.
+        places: (first, size) of each array in it.
     """
 
-    def __init__(self, arrays: Mapping[str, wp.array]):
+    def __init__(self, arrays: Mapping[str, wp.array], values: wp.array | None, places: Iterable[tuple[int, int]]):
         self._arrays = arrays
         self._sums = {name: checksum(array) for name, array in arrays.items()}
+        self._stretches: list[wp.array] = []
+        for first, stop in _merged((first, first + size) for first, size in places):
+            if values is not None:
+                self._stretches.append(values[first:stop])
+        self._long = self._all_stretches()
 
     def found(self) -> list[str]:
         """Return the names of the arrays that differ from what was followed last."""
-        return [name for name, array in self._arrays.items() if checksum(array) != self._sums[name]]
+        now = self._all_stretches()
+        if self._stretches and now == self._long:
+            return []
+        names = [name for name, array in self._arrays.items() if checksum(array) != self._sums[name]]
+        if not names:  # what has changed lies between them
+            self._long = now
+        return names
 
     def follow(self, names: Iterable[str]) -> None:
         """Take the arrays as they are now."""
         for name in names:
             if name in self._arrays:
                 self._sums[name] = checksum(self._arrays[name])
+
+    def _all_stretches(self) -> list[int]:
+        return [checksum(stretch) for stretch in self._stretches]
+
+
+def _merged(ranges: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Return ranges (first, stop) in order, those that lie near each other as one."""
+    found: list[tuple[int, int]] = []
+    for first, stop in sorted(ranges):
+        if found and first - found[-1][1] <= NEAR:
+            found[-1] = found[-1][0], max(found[-1][1], stop)
+        else:
+            found.append((first, stop))
+    return found
 
 
 def checksum(array: wp.array) -> int:

@@ -144,7 +144,9 @@ class Scene:
         self.lights.update_areas(self.lights.of_shapes(range(len(description.shapes))), self.points)
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
-        self._edits = Edits({n: self.view(n) for n, p in self.parameters.items() if has_results(p)})
+        followed = {n: p for n, p in self.parameters.items() if has_results(p)}
+        places = [(p.offset, p.size) for p in followed.values()]
+        self._edits = Edits({n: self.view(n) for n in followed}, None if self.origin.any() else self.values, places)
 
     @property
     def shades_flat(self) -> bool:
