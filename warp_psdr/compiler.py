@@ -50,6 +50,8 @@ _lock = threading.Lock()
 #: (module, name of the device)
 _loaded: set[tuple[wp.Module, str]] = set()
 _jobs: dict[tuple[wp.Module, str], Future] = {}
+#: Jobs since the last time when none was running, which a bar counts.
+_batch: list[Future] = []
 _pool: ThreadPoolExecutor | None = None
 _pool_size = 0
 _said: set[Future | None] = set()
@@ -77,7 +79,10 @@ def begin(kernels: Iterable[wp.Kernel], device: wp.Device) -> int:
             headers.begin()
         with _lock:
             if key not in _loaded and key not in _jobs:
+                if all(job.done() for job in _batch):
+                    _batch.clear()
                 _jobs[key] = _threads().submit(_compile, module, device)
+                _batch.append(_jobs[key])
                 started += 1
     return started
 
@@ -129,7 +134,7 @@ def _await(job: Future) -> None:
         if news:
             print(_line(len(running)), file=sys.stderr, flush=True)
         if draws_bars(sys.stderr):
-            _show(job, running)
+            _show(job)
     job.result()
 
 
@@ -143,11 +148,13 @@ def _line(kernels: int) -> str:
     return f"warp_psdr: compiling {what}{reason} (first use; kept for next time), about {seconds:.0f} s"
 
 
-def _show(job: Future, running: list[Future]) -> None:
-    """Show how many of the running jobs are done, until ``job`` is."""
-    with progress("compiling", len(running)) as report:
+def _show(job: Future) -> None:
+    """Show how many jobs of the batch are done, until ``job`` is."""
+    with _lock:
+        batch = list(_batch)
+    with progress("compiling", len(batch), transient=True) as report:
         while not job.done():
-            report(sum(j.done() for j in running), "")
+            report(sum(j.done() for j in batch), "")
             wait([job], timeout=BAR_SECONDS)
 
 
@@ -195,6 +202,7 @@ def _after_fork_in_child() -> None:
     global _lock, _pool
     _lock, _pool = threading.Lock(), None
     _jobs.clear()
+    _batch.clear()
     _said.clear()
 
 

@@ -23,7 +23,9 @@ Report = Callable[[int, str], None]
 
 
 @contextmanager
-def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = None) -> Iterator[Report]:
+def progress(
+    title: str, total: int, *, start: int = 0, stream: TextIO | None = None, transient: bool = False
+) -> Iterator[Report]:
     """Show how far a run of ``total`` steps has come: from its first report to its last, and nothing else.
 
     What comes before the first step (loading, compiling) and after the last one (writing results) shows no bar.
@@ -33,6 +35,7 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
         total: Number of steps.
         start: Steps that were done before, for a resumed run.
         stream: Where to write; standard error unless given.
+        transient: Whether a bar goes away when its run ends.
 
     Yields:
         A function ``report(done, text)``, to be called after every step.
@@ -41,7 +44,7 @@ def progress(title: str, total: int, *, start: int = 0, stream: TextIO | None = 
     clock = _Clock(total, start)
     lock = threading.Lock()  # worker threads report too
     if draws_bars(stream):
-        bar = _Bar(title, total, clock, stream)
+        bar = _Bar(title, total, clock, stream, transient)
         try:
 
             def report(done: int, text: str) -> None:
@@ -82,7 +85,7 @@ def shows_widgets() -> bool:
 class _Bar:
     """A bar of rich: on a terminal, or in a notebook."""
 
-    def __init__(self, title: str, total: int, clock: _Clock, stream: TextIO):
+    def __init__(self, title: str, total: int, clock: _Clock, stream: TextIO, transient: bool):
         from rich.console import Console
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
@@ -94,7 +97,7 @@ class _Bar:
             TextColumn("{task.fields[elapsed]}"),
             TextColumn("{task.fields[left]}"),
         )
-        self._bar = Progress(*columns, console=Console(file=stream))
+        self._bar = Progress(*columns, console=Console(file=stream), transient=transient)
         self._title, self._total, self._clock = title, total, clock
         self._task: TaskID | None = None
 
