@@ -115,7 +115,8 @@ def test_losses_of_masks_and_depths_are_recorded(plate) -> None:
 # -- against finite differences ----------------------------------------------------------------------------------------
 
 
-def solids(exact: bool) -> dict:
+def solids(kind: str) -> dict:
+    """A ball and a box: both of triangles, the ball exact, or of glass and a mask beside what radiance would refuse."""
     ball = {"type": "sphere", "to_world": T.translate((0.3, 0.1, 0.5)) @ T.scale((1.0, 0.8, 0.6))}
     return {
         "type": "scene",
@@ -123,13 +124,32 @@ def solids(exact: bool) -> dict:
             "type": "perspective", "near_clip": 0.5, "film": film(),
             "to_world": T.look_at((0, 1, 5), (0, 0, 0), (0, 1, 0)),
         },
-        "ball": {**ball, "exact": True} if exact else {**ball, "resolution": 24},
+        "ball": {**ball, "exact": True} if kind == "exact" else {**ball, "resolution": 24},
         "box": {
             "type": "cube",
             "to_world": T.translate((-0.9, -0.2, -0.6)) @ T.rotate((0.3, 1.0, 0.1), 35) @ T.scale(0.6),
         },
         "lamp": {"type": "point", "position": [0, 3, 3]},
-    }  # fmt: skip
+    } | (TOGETHER if kind == "together" else {})  # fmt: skip
+
+
+#: Textures with steps before the camera, and lights whose edges have no estimator, are not in these images.
+TOGETHER = {
+    "floor": {
+        "type": "rectangle",
+        "to_world": T.translate((0, -1, 0)) @ T.rotate((1, 0, 0), -90) @ T.scale(3),
+        "bsdf": {"type": "diffuse", "reflectance": {"type": "checkerboard"}},
+    },
+    "pane": {
+        "type": "sphere", "resolution": 24, "to_world": T.translate((1.1, 0.8, -0.3)) @ T.scale(0.4),
+        "bsdf": {"type": "dielectric"},
+    },
+    "leaf": {
+        "type": "rectangle", "to_world": T.translate((-1.0, 0.8, 0.5)) @ T.scale(0.3),
+        "bsdf": {"type": "mask", "opacity": 0.5, "of": {"type": "diffuse"}},
+    },
+    "sky": {"type": "envmap", "bitmap": np.linspace(0.1, 1.0, 96, dtype=np.float32).reshape(4, 8, 3)},
+}  # fmt: skip
 
 
 def tangent_of(name: str, value: np.ndarray) -> np.ndarray:
@@ -141,19 +161,19 @@ def tangent_of(name: str, value: np.ndarray) -> np.ndarray:
     return tangent
 
 
-CASES = [(aov, name, exact) for aov in PROPERTIES for name in ("ball.to_world", "box.to_world", "camera.to_world")
-         for exact in (False, True) if not (exact and aov == "sh_normal")]  # fmt: skip
-FAST = {("depth", "box.to_world", False), ("sh_normal", "box.to_world", False)}
+CASES = [(aov, name, kind) for aov in PROPERTIES for name in ("ball.to_world", "box.to_world", "camera.to_world")
+         for kind in ("mesh", "exact", "together") if (kind, aov) != ("exact", "sh_normal")]  # fmt: skip
+FAST = {("depth", "box.to_world", "together"), ("sh_normal", "box.to_world", "mesh")}
 ROWS = [
-    pytest.param(*case, id="-".join((*case[:2], "exact" if case[2] else "mesh")),
+    pytest.param(*case, id="-".join(case),
                  marks=() if case in FAST else pytest.mark.slow)
     for case in CASES
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("aov", "name", "exact"), ROWS)
-def test_slope_against_finite_differences(aov: str, name: str, exact: bool) -> None:
-    scene = psdr.load_dict(solids(exact))
+@pytest.mark.parametrize(("aov", "name", "kind"), ROWS)
+def test_slope_against_finite_differences(aov: str, name: str, kind: str) -> None:
+    scene = psdr.load_dict(solids(kind))
     params = psdr.traverse(scene)
     integrator, step = psdr.AovIntegrator(aov=aov), 8e-3
     base = params[name].numpy().reshape(4, 4).copy()
@@ -193,7 +213,7 @@ def test_what_has_no_derivative_is_named() -> None:
         psdr.AovIntegrator(aov="albedo")
     with pytest.raises(ValueError, match=r"expected psdr\.boundary\.PathSpace\(\)"):
         psdr.AovIntegrator(aov="mask", boundary=psdr.boundary.WarpedArea())
-    scene = psdr.load_dict(solids(True))
+    scene = psdr.load_dict(solids("exact"))
     params = psdr.traverse(scene)
     for aov, name, words in (
         ("sh_normal", "box.to_world", "normals are those of meshes.*leave out 'exact'"),
@@ -204,5 +224,15 @@ def test_what_has_no_derivative_is_named() -> None:
             psdr.plan(scene, params, integrator=psdr.AovIntegrator(aov=aov))
         with wp.Tape(), pytest.raises(ValueError, match=words):
             psdr.render_aov(scene, [aov], params=params, spp=1)
+    fog = {"type": "homogeneous", "sigma_t": 0.5}
+    away = T.translate((0.0, 0.0, -9.0))
+    cloud = {"type": "cube", "bsdf": {"type": "null"}, "interior": fog, "to_world": away}
+    foggy = psdr.load_dict({**solids("mesh"), "cloud": cloud, "meter": {"type": "radiancemeter", "film": film(1, 1)}})
+    params_of_fog = psdr.traverse(foggy)
+    params_of_fog.requires_grad_only("cloud.to_world")
+    with pytest.raises(ValueError, match=r"cloud\.to_world moves a surface that is not there"):
+        psdr.plan(foggy, params_of_fog, integrator=psdr.AovIntegrator(aov="mask"))
+    with pytest.raises(ValueError, match="got a 'radiancemeter', expected a 'perspective'"):
+        psdr.plan(foggy, sensor="meter", integrator=psdr.AovIntegrator(aov="mask"))
     with wp.Tape(), pytest.raises(ValueError, match="'albedo' has no derivatives; on a tape take 'mask'"):
         psdr.render_aov(scene, ["albedo"], params=params, spp=1)

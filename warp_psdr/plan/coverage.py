@@ -133,6 +133,8 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
 
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
+    if config.shown:  # of what lights, materials and textures do nothing is seen
+        return _in_many_faces(scene, names)
     # Beside media no mirror or glass is, and null lobes turn no ray (``plan/media.py``).
     if has_delta_lobes(config.bsdfs) and config.media is None:
         if not 0 < max_depth <= MAX_DEPTH:
@@ -161,11 +163,16 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
         edge = edge_of_light(scene, e)
         if edge:
             return edge
+    return _in_many_faces(scene, names)
+
+
+def _in_many_faces(scene: Scene, names: list[str]) -> str:
+    """Say which shapes meet in an edge of more than two triangles; empty: none of those that move."""
     pair = _shared_by_many(scene, set(motion(scene, names).shapes))
-    if pair is not None:
-        a, b = (scene.description.shapes[i].path for i in pair)
-        return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
-    return ""
+    if pair is None:
+        return ""
+    a, b = (scene.description.shapes[i].path for i in pair)
+    return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
 
 
 def has_steps(texture: Texture) -> bool:

@@ -132,7 +132,7 @@ def decide(
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
     if wanted is not None:
-        reason = sliding_heights(scene, config, names, wanted.geometry)
+        reason = "" if config.shown else sliding_heights(scene, config, names, wanted.geometry)
         if reason:
             raise ValueError(f"{reason}, and the slopes of a bump map jump at its texels: {HOLD_STILL}")
         if any(model.framed for model in models_of(config.bsdfs)):

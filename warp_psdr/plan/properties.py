@@ -4,7 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_PERSPECTIVE, CAMERA_THINLENS
+from warp_psdr.kernels.medium.coefficients import POSE
+from warp_psdr.plan import media
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.plan.words import CAMERA_NAMES
+from warp_psdr.scene.layout import MEDIUM
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -23,6 +28,11 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
     if not config.shown:
         return
     require_steady(scene, sensor, "psdr.AovIntegrator")
+    if config.camera not in (CAMERA_PERSPECTIVE, CAMERA_THINLENS, CAMERA_ORTHOGRAPHIC):
+        raise ValueError(
+            f"AovIntegrator: got a {CAMERA_NAMES[config.camera]!r}, expected a 'perspective', 'thinlens' or "
+            "'orthographic' sensor"
+        )
     if config.shown == "position" and scene.origin.any():
         raise ValueError(
             "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no "
@@ -30,6 +40,12 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
         )
     if not names:
         return
+    absent = [n for n in names if MEDIUM + POSE not in scene.parameters[n].uses and media.moves_media_alone(scene, n)]
+    if absent:
+        raise ValueError(
+            f"AovIntegrator: {absent[0]} moves a surface that is not there ('null'), which images of properties show; "
+            "leave it out of the request, or give the shape another bsdf"
+        )
     if config.shown == "sh_normal" and config.primitives:
         raise ValueError(
             "AovIntegrator(aov='sh_normal'): derivatives of normals are those of meshes; leave out 'exact', or take "

@@ -100,7 +100,7 @@ def film_edges(
     *,
     camera_moves: bool,
     hide_emitters: bool = False,
-    lit_apart: bool = True,
+    of_radiance: bool = True,
 ) -> FilmEdges:
     """Return the edges that jump on the film and move; kept until the scene or the camera moves.
 
@@ -113,7 +113,8 @@ def film_edges(
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
         hide_emitters: the camera sees through area lights.
-        lit_apart: creases between flat faces are apart from other edges, by the light that they receive.
+        of_radiance: creases between flat faces are apart from other edges, by the light that they receive, and surfaces
+            that are not there have none; else those of an image of properties.
     """
     every = scene_adjacency(scene)
     view = camera_view(scene, sensor)
@@ -122,7 +123,7 @@ def film_edges(
         frozenset(shapes),
         camera_moves,
         hide_emitters,
-        lit_apart,
+        of_radiance,
         *_brushed_texcoords(scene),
         *view.numbers(),
     )
@@ -130,13 +131,13 @@ def film_edges(
     if kept is not None and kept.every is every and kept.key == key:
         return kept
     edges = without(every, scene.luminous) if hide_emitters else every
-    if scene.builder.media:
+    if scene.builder.media and of_radiance:
         edges = without(edges, absent_faces(scene))
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
     usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
     creases = _seen(view, edges, usable)
-    lit = _facets(scene, view, edges, jumps) & (lit_apart and not scene.builder.media)
+    lit = _facets(scene, view, edges, jumps) & (of_radiance and not scene.builder.media)
     others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
     weight = flat_creases.length * _sine(edges, flat_creases.keep)
     weight = np.where(_hidden(scene, view, edges, flat_creases.keep), HIDDEN * weight, weight)

@@ -218,7 +218,7 @@ def film_edges_of(r: Request) -> FilmEdges:
         shapes,
         camera_moves=r.view_moves,
         hide_emitters=r.config.hidden,
-        lit_apart=not r.config.shown,
+        of_radiance=not r.config.shown,
     )
 
 
