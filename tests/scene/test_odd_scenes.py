@@ -165,3 +165,12 @@ def test_shallow_paths(depth: int) -> None:
     psdr.render_backward(scene, params, np.ones((9, 12, 3)), integrator=integrator, spp=4)
     assert all(np.isfinite(params[name].grad.numpy()).all() for name in params)
     assert np.any(params["c.emitter.radiance.value"].grad.numpy() != 0.0)
+
+
+def test_no_light_path_is_joined_where_nothing_scatters_it_to_the_camera() -> None:
+    """A point light that meets mirrors alone: there was no kernel that its paths could end in."""
+    camera = {"type": "perspective", "to_world": LOOK((0, 0, 5), (0, 0, 0), (0, 1, 0))}
+    scene = psdr.load_dict({"type": "scene", "camera": camera, "a": ball(bsdf=MIRROR), "lamp": POINT})
+    assert psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).light is None
+    with pytest.raises(ValueError, match="caustics=True: no surface scatters light towards the camera"):
+        psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4, caustics=True))

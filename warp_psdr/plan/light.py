@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, models_of
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_smooth_lobes, models_of
 from warp_psdr.kernels.constants import (
     CAMERA_IRRADIANCEMETER,
     CAMERA_RADIANCEMETER,
@@ -277,6 +277,8 @@ def _cannot_join(config: PathConfig) -> str:
         return "light paths are not timed"
     if config.camera == CAMERA_RADIANCEMETER:
         return "no light path meets the one ray of a 'radiancemeter'"
+    if not has_smooth_lobes(config.bsdfs):
+        return "no surface scatters light towards the camera but by mirrors and glass"
     return ""
 
 
