@@ -1,6 +1,7 @@
 """Kernels are compiled side by side, told of in one line, and named by ``psdr.compile``."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -142,3 +143,11 @@ def test_the_kernels_of_a_ray_structure_share_a_module() -> None:
     points = wp.array(np.eye(3, dtype=np.float32), dtype=wp.vec3, device="cpu")
     kernels = Accelerator(points, wp.array(np.arange(3, dtype=np.int32), device="cpu"), "cpu", "wide").kernels()
     assert len(kernels) == 4 and len({k.module for k in kernels}) == 1
+
+
+def test_the_line_says_how_many_kernels_why_and_about_how_long() -> None:
+    with compiler.because("to try guiding for this repeated gradient"):
+        line = compiler._line(3)
+    assert line.startswith("warp_psdr: compiling 3 kernels to try guiding for this repeated gradient (first use; kept")
+    assert re.search(r"about \d+ s$", line)
+    assert compiler._line(1).startswith("warp_psdr: compiling 1 kernel (first use")
