@@ -21,7 +21,7 @@ MAX_LINES = 500
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (
     {
-        *("arrays", "compiler", "device", "exr_header", "files", "float_images", "headers", "html", "image"),
+        *("arrays", "compiler", "device", "exr_header", "files", "float_images", "forks", "headers", "html", "image"),
         *(
             "image_io",
             "invalid",

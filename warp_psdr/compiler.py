@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import math
-import os
 import sys
 import threading
 import time
@@ -21,7 +20,7 @@ from dataclasses import dataclass
 
 import warp as wp
 
-from warp_psdr import headers, kernel_cache, workers
+from warp_psdr import forks, headers, kernel_cache, workers
 from warp_psdr.kernels.modules import FILES
 from warp_psdr.progress import draws_bars, progress
 
@@ -190,21 +189,19 @@ def _threads() -> ThreadPoolExecutor:
     return _pool
 
 
-def _before_fork() -> None:
+@forks.before
+def _finish() -> None:
     """Wait for what is being compiled: a child that is forked meanwhile would find the compiler's locks taken."""
     with _lock:
         running = list(_jobs.values())
     wait(running)
 
 
-def _after_fork_in_child() -> None:
+@forks.in_child
+def _forget_threads() -> None:
     """Forget the threads, which a forked process does not have."""
     global _lock, _pool
     _lock, _pool = threading.Lock(), None
     _jobs.clear()
     _batch.clear()
     _said.clear()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_before_fork, after_in_child=_after_fork_in_child)

@@ -16,6 +16,7 @@ from typing import Any
 
 import warp as wp
 
+from warp_psdr import forks
 from warp_psdr.kernels.headers import include_headers
 from warp_psdr.quiet import quiet
 
@@ -41,14 +42,11 @@ def begin() -> None:
         _parsing.start()
 
 
-def _after_fork_in_child() -> None:
+@forks.in_child
+def _forget_parsing() -> None:
     """Let a forked process parse again: the thread that did so may not have come to its end."""
     global _lock, _parsing
     _lock, _parsing = threading.Lock(), None
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork_in_child)
 
 
 def _parse() -> None:

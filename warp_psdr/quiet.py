@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
 import warp as wp
+
+from warp_psdr import forks
 
 _lock = threading.Lock()
 
@@ -62,10 +63,7 @@ class _Quiet:
         self.inner.error(message)
 
 
-def _after_fork_in_child() -> None:
+@forks.in_child
+def _new_lock() -> None:
     global _lock
     _lock = threading.Lock()
-
-
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_after_fork_in_child)

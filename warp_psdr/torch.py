@@ -134,13 +134,11 @@ class _Call:
     def assign(self, tensors: tuple[torch.Tensor, ...]) -> None:
         """Make the scene hold the tensors' values."""
         params = traverse(self.scene)
-        changed = []
         for name, tensor in zip(self.names, tensors, strict=True):
             value = _numpy(tensor)
             if self.scene.place(name, params.check(name, value, "value", value.dtype.type)):
-                changed.append(name)
-        # Kernels may have written other values, and checksums of world coordinates do not tell all in far scenes.
-        params.update(*changed, *self.scene.edited())
+                self.scene.pending.add(name)  # checksums of world coordinates do not tell all in far scenes
+        self.scene.settle()
 
 
 class _Render(torch.autograd.Function):

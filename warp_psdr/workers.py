@@ -15,6 +15,8 @@ from concurrent.futures import ThreadPoolExecutor, wait
 
 import numpy as np
 
+from warp_psdr import forks
+
 #: Lanes of a launch. More shards balance better and scale to more cores, fewer need fewer gradient buffers.
 SHARDS = 16
 #: The shards' buffers together hold at most this many numbers (128 MB of gradients).
@@ -101,11 +103,8 @@ def pixel_order(width: int, height: int) -> np.ndarray:
     return np.argsort(code.reshape(-1), kind="stable").astype(np.int32)
 
 
-def _after_fork_in_child() -> None:
+@forks.in_child
+def _forget_threads() -> None:
     """Forget the pool: a forked process has none of its threads, and would wait for them for ever."""
     global _pool
     _pool = None
-
-
-if hasattr(os, "register_at_fork"):  # not on Windows, which does not fork
-    os.register_at_fork(after_in_child=_after_fork_in_child)

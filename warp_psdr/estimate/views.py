@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
-def shape_of_views(scene: Scene, views: Views, what: str = "a list of sensors") -> tuple[int, ...]:
+def shape_of_views(scene: Scene, views: Views) -> tuple[int, ...]:
     """Return the shape of what several sensors show: (H, W) of a batch, (B, H, W) of a stack.
 
     Raises:
@@ -33,7 +33,7 @@ def shape_of_views(scene: Scene, views: Views, what: str = "a list of sensors") 
     if views.batch is not None:
         return shape_of(scene, views.batch)
     for number in views.sensors:
-        require_steady(scene, number, what)
+        require_steady(scene, number, "a list of sensors")
     sizes = [shape_of(scene, number) for number in views.sensors]
     if len(set(sizes)) > 1:
         names = [scene.description.sensors[number].path for number in views.sensors]

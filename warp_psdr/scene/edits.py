@@ -63,16 +63,13 @@ class Edits:
     Args:
         arrays: By name.
         values: What holds all of them, to be looked at in few long stretches first; None: they lie elsewhere.
-        places: (first, size) of each array in it.
+        places: (first, stop) of each array in it.
     """
 
     def __init__(self, arrays: Mapping[str, wp.array], values: wp.array | None, places: Iterable[tuple[int, int]]):
         self._arrays = arrays
         self._sums = {name: checksum(array) for name, array in arrays.items()}
-        self._stretches: list[wp.array] = []
-        for first, stop in _merged((first, first + size) for first, size in places):
-            if values is not None:
-                self._stretches.append(values[first:stop])
+        self._stretches = [] if values is None else [values[first:stop] for first, stop in _merged(places)]
         self._long = self._all_stretches()
 
     def found(self) -> list[str]:

@@ -145,7 +145,7 @@ class Scene:
         self.lights.update_environment(flat)
         self.lights.update_selection(flat, self.radius)
         followed = {n: p for n, p in self.parameters.items() if has_results(p)}
-        places = [(p.offset, p.size) for p in followed.values()]
+        places = [(p.offset, p.offset + p.size) for p in followed.values()]
         self._edits = Edits({n: self.view(n) for n in followed}, None if self.origin.any() else self.values, places)
 
     @property
