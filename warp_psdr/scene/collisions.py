@@ -16,12 +16,14 @@ from warp_psdr.kernels.medium.majorant import CELL
 
 from .super_grid import SuperGrid, pooled
 
-#: Tentative collisions of a flight from which a scene is refused: each takes some ten nanoseconds on a CPU.
-MOST_COLLISIONS, _SECONDS = 1e7, 1e-8
+#: Seconds of a tentative collision on a CPU, about.
+_SECONDS = 1e-8
 
 
-def null_collisions(values: np.ndarray, wrap: str, factor: float, to_world: np.ndarray, extent: float) -> float:
-    """Return how many null collisions a flight has at most, about.
+def null_collisions(
+    values: np.ndarray, wrap: str, factor: float, to_world: np.ndarray, extent: float, enough: float
+) -> float:
+    """Return how many null collisions a flight has at most, about; a bound of it where that is ``enough`` or less.
 
     Args:
         values: (Z, Y, X, C) of the grid.
@@ -29,11 +31,12 @@ def null_collisions(values: np.ndarray, wrap: str, factor: float, to_world: np.n
         factor: What multiplies it.
         to_world: (4, 4) from the unit cube that it fills.
         extent: Of the scene: no flight is longer.
+        enough: So many are no matter.
     """
     # Along the axes z, y and x of the grid.
     lengths = np.linalg.norm(to_world[:3, :3].astype(np.float64), axis=0)[::-1]
     bound = factor * float(values.max()) * min(float(lengths.sum()), extent)
-    if bound <= MOST_COLLISIONS:  # nothing more has to be looked at
+    if bound <= enough:  # nothing more has to be looked at
         return bound
     spread = pooled(values.max(axis=3), wrap).astype(np.float64) + pooled(-values.min(axis=3), wrap)
     along = 0.0
@@ -76,7 +79,7 @@ class Tracking:
         if size:
             factor *= area_of(held[first : first + size].reshape(-1, 6))
         to_world = self.to_world if self.pose < 0 else held[self.pose : self.pose + 16].reshape(4, 4)
-        count = null_collisions(values, self.grid.wrap, factor, to_world, self.extent)
+        count = null_collisions(values, self.grid.wrap, factor, to_world, self.extent, self.most)
         if count > self.most:
             raise ValueError(too_many(self.medium, self.grid.parameter, float(values.max()) * factor, count, after))
 

@@ -129,7 +129,7 @@ class MediaRecords:
         to_world = self._around if v.to_world is None else v.to_world
         factor = m.scale if flakes is None else m.scale * area_of(flakes.value)
         values = v.value.reshape(grid.shape)
-        count = null_collisions(values, v.wrap, factor, to_world, self._extent)
+        count = null_collisions(values, v.wrap, factor, to_world, self._extent, self._most)
         if count > self._most:
             raise SceneError(too_many(m.path, v.parameter, factor * float(values.max()), count))
         known = self._layout.parameters
