@@ -9,7 +9,17 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .errors import LimitError, ReportedError, SceneError, did_you_mean, error, limit, listing, missing_file
+from .errors import (
+    LimitError,
+    OutsideError,
+    ReportedError,
+    SceneError,
+    did_you_mean,
+    error,
+    limit,
+    listing,
+    missing_file,
+)
 
 T = TypeVar("T")
 #: Where a scene may read files beside its own folder: nowhere, below these folders, or anywhere.
@@ -239,12 +249,13 @@ class Context:
             return candidates
         inside = [candidate for candidate in candidates if _is_inside(candidate, self.roots)]
         if not inside:
-            raise error(
+            problem = error(
                 where,
                 f"'{name}' leaves the scene's folder '{self.base}'",
                 "move the file below it, or name its folder, or a folder of both, when loading: "
                 "allow_outside=folder (--allow-outside FOLDER), or allow_outside=True for scenes that you trust",
             )
+            raise OutsideError(str(problem))
         return inside
 
     def count(self, numbers: int, where: str) -> None:

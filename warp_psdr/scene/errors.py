@@ -15,6 +15,10 @@ class LimitError(SceneError):
     """A scene that is larger than is read; loading ends at once, while other problems are collected."""
 
 
+class OutsideError(SceneError):
+    """A file that lies where a scene may not read."""
+
+
 class ReportedError(SceneError):
     """Something that cannot be built because of a problem that is reported already."""
 

@@ -11,6 +11,7 @@ import numpy as np
 from warp_psdr.image_io import read_image, read_picture
 
 from .context import Context
+from .errors import OutsideError
 
 
 @dataclass(eq=False)
@@ -42,9 +43,9 @@ class Images:
             return read_image(self.path(name), raw=raw)
         except FileNotFoundError:
             self.context.note(f"{self.place}: there is no picture '{name}'; the material is used without it")
+        except OutsideError:
+            raise
         except ValueError as problem:
-            if "leaves the scene's folder" in str(problem):
-                raise
             self.context.note(f"{self.place}: {problem}; the material is used without it")
         return None
 

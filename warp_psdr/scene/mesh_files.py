@@ -47,7 +47,7 @@ def read_mesh(
     place = f"{where}, file '{file}'"
     if kind in ("gltf", "glb"):
         beside = Context(str(file), file.parent)
-        return _read_gltf(file, place, note, find or (lambda name: beside.file(name, place)))
+        return _read_gltf(file, place, find or (lambda name: beside.file(name, place)))
     if kind == "serialized":
         return read_serialized(file, index, place, note)
     if kind in readers:
@@ -169,7 +169,7 @@ def _stack(columns: list[np.ndarray], dtype: Any) -> np.ndarray:
         return np.stack([np.asarray(column).reshape(-1) for column in columns], axis=1).astype(dtype)
 
 
-def _read_gltf(file: Path, place: str, note: Any, find: Callable[[str], Path]) -> MeshData:
+def _read_gltf(file: Path, place: str, find: Callable[[str], Path]) -> MeshData:
     """Read all meshes of a glTF file, placed by its nodes and joined; materials are left out."""
     from trimesh.exchange import gltf
     from trimesh.scene.transforms import SceneGraph
@@ -186,9 +186,7 @@ def _read_gltf(file: Path, place: str, note: Any, find: Callable[[str], Path]) -
         parts = [(values["geometry"][name], np.asarray(matrix, dtype=np.float64)) for matrix, name in placed]
         return _joined([_part(part, matrix) for part, matrix in parts if len(part.get("faces", ()))])
 
-    data = _guarded(load, file, place)
-    note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
-    return data
+    return _guarded(load, file, place)
 
 
 def _joined(parts: list[MeshData]) -> MeshData:

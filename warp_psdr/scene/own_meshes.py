@@ -87,8 +87,6 @@ def load_mesh(
     context = Context("load_mesh", file.parent, allow_outside)
     data = read_mesh(kind, file, "load_mesh", context.note, find=lambda name: context.file(name, f"'{file}'"))
     flip = kind in FLIP_TEX_COORDS
-    # What readers say to those who give a bsdf.
-    context.notes = [note for note in context.notes if "materials of glTF" not in note]
     parts = {}
     place = {} if to_world is None else {"to_world": to_world}
     if bsdf is not None:

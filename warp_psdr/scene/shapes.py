@@ -181,6 +181,9 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
     file = props.context.file(name, props.place("filename"))
     index = props.integer("shape_index", 0, minimum=0) if props.type == "serialized" else 0
     data = read_mesh(props.type, file, props.where, props.context.note, index, _finder(props, file))
+    place = f"{props.where}, file '{file}'"
+    if props.type in ("gltf", "glb"):
+        props.context.note(f"{place}: materials of glTF files are ignored; the shape's bsdf is used")
     props.context.count(data.vertices.size + data.faces.size, props.where)
     # Only serialized meshes have no such parameter.
     if (
@@ -189,7 +192,7 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
         and data.texcoords is not None
     ):
         data.texcoords = np.stack([data.texcoords[:, 0], 1.0 - data.texcoords[:, 1]], axis=1)
-    return data, to_world, f"{props.where}, file '{file}'"
+    return data, to_world, place
 
 
 def _local_frame(props: Properties) -> np.ndarray:
