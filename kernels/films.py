@@ -1,4 +1,4 @@
-"""Films that several lanes of a launch have written: their sums in fixed order, the images, and their channels."""
+"""Films: sums in double precision, the images that they give, and their channels."""
 
 import warp as wp
 
@@ -6,19 +6,16 @@ from warp_psdr.kernels.modules import SCENE
 
 
 @wp.kernel(module=SCENE, enable_backward=False)
-def collect(
+def collect_band(
+    # In:
+    band: wp.array2d(dtype=wp.vec4),
+    first_row: wp.int32,
     # In and out:
-    films: wp.array3d(dtype=wp.vec4),
-    # Out:
     film_out: wp.array2d(dtype=wp.vec4d),
 ):
-    """Add the lanes' films in fixed order to one in double precision, and clear them."""
+    """Add a band of a film's rows to the film, in double precision."""
     row, column = wp.tid()
-    total = film_out[row, column]
-    for lane in range(films.shape[0]):
-        total += wp.vec4d(films[lane, row, column])
-        films[lane, row, column] = wp.vec4()
-    film_out[row, column] = total
+    film_out[first_row + row, column] = film_out[first_row + row, column] + wp.vec4d(band[row, column])
 
 
 @wp.kernel(module=SCENE, enable_backward=False)
@@ -39,16 +36,12 @@ def resolve(
 def collect_splats(
     # In and out:
     films: wp.array3d(dtype=wp.vec3),
-    # Out:
-    total_out: wp.array2d(dtype=wp.vec3d),
+    totals_out: wp.array3d(dtype=wp.vec3d),
 ):
-    """Add the lanes' films in fixed order to one in double precision, and clear them."""
-    row, column = wp.tid()
-    total = total_out[row, column]
-    for lane in range(films.shape[0]):
-        total += wp.vec3d(films[lane, row, column])
-        films[lane, row, column] = wp.vec3()
-    total_out[row, column] = total
+    """Add the lanes' films to those in double precision, and clear them."""
+    lane, row, column = wp.tid()
+    totals_out[lane, row, column] = totals_out[lane, row, column] + wp.vec3d(films[lane, row, column])
+    films[lane, row, column] = wp.vec3()
 
 
 @wp.kernel(module=SCENE, enable_backward=False)

@@ -19,6 +19,7 @@ class PixelJob:
     first_pixel: wp.int32  # of this launch, in that list
     pixel_count: wp.int32
     margin: wp.int32  # by which the raster exceeds the image on each side, pixels
+    first_film_row: wp.int32  # of the image, of a film that holds a band of its rows
     first_sample: wp.int32
     samples: wp.int32  # of each pixel
     scale: wp.float32  # of what they give: 1 over all of a pixel's samples

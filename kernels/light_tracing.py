@@ -2,8 +2,7 @@
 
 The flux that a vertex sends to the camera counts for every pixel under whose filter it lies, with the weights of
 ``sensor/film.py``, which are those of the path tracer's images. On the CPU every lane of a launch has a film of its
-own. ``films.collect_splats`` adds these films in fixed order in double precision, so that the bits do not depend on the
-number of workers.
+own, which ``films.collect_splats`` adds to sums in double precision every so many samples.
 
 Derivation: ``docs/theory/light_tracing.md#film-weights``.
 """

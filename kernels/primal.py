@@ -147,7 +147,11 @@ def _make_weighted_paths(config: PathConfig, filter_kind: int | None) -> CameraP
 
 @functools.cache
 def make_primal_kernel(config: PathConfig):
-    """Return the primal kernel: one thread a pixel, all its samples in order."""
+    """Return the primal kernel: one thread a pixel, all its samples in order.
+
+    ``film_out`` receives the sum of their radiance and their number, ``squares_out``, unless it is empty, the sum of
+    the squares.
+    """
     paths = make_image_paths(config)
     trace = paths.trace
     pixel_bundle = make_pixel_bundle(paths.width if paths.grouped else 1)
@@ -160,13 +164,15 @@ def make_primal_kernel(config: PathConfig):
         # In:
         job: PixelJob,
         # Out:
-        image_out: wp.array2d(dtype=wp.vec3),
+        film_out: wp.array2d(dtype=wp.vec4d),
+        squares_out: wp.array2d(dtype=wp.vec3d),
     ):
         bundle = pixel_bundle(job, camera, wp.tid())
         if bundle.pixels == 0:
             return
         # In double precision: a float32 sum stands still after 2^24 equal terms.
         total = wp.vec3d()
+        squares = wp.vec3d()
         found = wp.zeros(shape=(wp.static(paths.width),), dtype=CameraPath)
         done = wp.int32(0)
         while done < job.samples:
@@ -180,13 +186,19 @@ def make_primal_kernel(config: PathConfig):
                     radiance = found[i * bundle.samples + k].radiance
                     if finite(radiance):
                         total += wp.vec3d(radiance)
+                        squares += wp.cw_mul(wp.vec3d(radiance), wp.vec3d(radiance))
                     else:
                         sampler.index = wp.uint32(bundle.first_sample + k)
                         count_invalid(scene, sampler)
                 if done == job.samples:
                     px = column_of(bundle, sampler)
                     py = row_of(bundle, sampler)
-                    image_out[py, px] = image_out[py, px] + wp.vec3(wp.float64(job.scale) * total)
+                    film_out[py, px] = film_out[py, px] + wp.vec4d(
+                        total[0], total[1], total[2], wp.float64(job.samples)
+                    )
+                    if squares_out.shape[0] > 0:
+                        squares_out[py, px] = squares_out[py, px] + squares
                     total = wp.vec3d()
+                    squares = wp.vec3d()
 
     return primal

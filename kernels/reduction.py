@@ -1,4 +1,4 @@
-"""Sums over the lanes' gradients and images, in a fixed order."""
+"""Sums of gradients and images as they end: rounded, and added to what they belong to."""
 
 import warp as wp
 
@@ -6,19 +6,16 @@ from warp_psdr.kernels.modules import SCENE
 
 
 @wp.kernel(module=SCENE, enable_backward=False)
-def add_lanes(
+def round_range(
     # In:
-    lanes: wp.array2d(dtype=wp.float64),
+    total: wp.array(dtype=wp.float64),
     offset: wp.int32,
     # Out:
     total_out: wp.array(dtype=wp.float32),
 ):
-    """Add the lanes' values ``offset`` ... up, always in the same order, and round the total."""
+    """Round the values ``offset`` ... up of a sum."""
     i = offset + wp.tid()
-    total = wp.float64(0.0)
-    for lane in range(lanes.shape[0]):
-        total += lanes[lane, i]
-    total_out[i] = wp.float32(total)
+    total_out[i] = wp.float32(total[i])
 
 
 @wp.kernel(module=SCENE, enable_backward=False)
@@ -35,15 +32,12 @@ def add_range(
 
 
 @wp.kernel(module=SCENE, enable_backward=False)
-def add_images(
+def add_image(
     # In:
-    lanes: wp.array3d(dtype=wp.vec3),
+    part: wp.array2d(dtype=wp.vec3),
     # In and out:
     image_out: wp.array2d(dtype=wp.vec3),
 ):
-    """Add the lanes' images to an image, always in the same order."""
+    """Add an image to another."""
     y, x = wp.tid()
-    total = image_out[y, x]
-    for lane in range(lanes.shape[0]):
-        total += lanes[lane, y, x]
-    image_out[y, x] = total
+    image_out[y, x] = image_out[y, x] + part[y, x]

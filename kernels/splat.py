@@ -4,10 +4,11 @@ Samples are uniform over each pixel's square. Pixel j receives sum_i h(s_i - j) 
 estimator of the filtered radiance. It uses each path some 4 pi sigma^2 times, compared with drawing one pixel's offsets
 from the filter (``film.py``); the variance of a Gaussian of half a pixel falls by 3. Differential passes use
 ``film.py`` all the same, since there a sample has one pixel's adjoint. Both estimate the same quantity. If the film
-samples its border, the raster is extended by the filter's reach. On the CPU every lane of a launch has a film of its
-own (vec4, the weighted radiance and the weight), because neighbouring threads would add to the same pixels.
-``films.collect`` adds the lanes in fixed order to a film in double precision, every so many samples, since long float32
-sums lose digits.
+samples its border, the raster is extended by the filter's reach. On the CPU every shard of a launch draws a band of
+rows and has a film of the rows that they count for (vec4, the weighted radiance and the weight), because neighbouring
+threads would add to the same pixels. ``films.collect_band`` adds these to a film in double precision, every so many
+samples, since long float32 sums lose digits. Bands are so high that no more than two count for a pixel: the sum does
+not depend on their order.
 """
 
 import functools
@@ -84,7 +85,7 @@ def make_splat_kernel(config: PathConfig):
     first, following = make_filter_steps(config.filter)
 
     @wp.func
-    def spread(camera: Camera, path: CameraPath, film_out: wp.array2d(dtype=wp.vec4)):
+    def spread(camera: Camera, path: CameraPath, first_film_row: wp.int32, film_out: wp.array2d(dtype=wp.vec4)):
         """Add a sample to the pixels that it counts for."""
         # Where it lies, in pixels of the crop window; pixel j's centre is at j + 1/2.
         x = path.sample.film[0] * wp.float32(camera.width) - wp.float32(camera.crop_x) - 0.5
@@ -101,7 +102,8 @@ def make_splat_kernel(config: PathConfig):
             step = start_step
             for column in range(first_column, last_column + 1):
                 w = row_step.weight * step.weight
-                wp.atomic_add(film_out, row, column, wp.vec4(w * radiance[0], w * radiance[1], w * radiance[2], w))
+                weighted = wp.vec4(w * radiance[0], w * radiance[1], w * radiance[2], w)
+                wp.atomic_add(film_out, row - first_film_row, column, weighted)
                 step = following(step)
             row_step = following(row_step)
 
@@ -127,7 +129,7 @@ def make_splat_kernel(config: PathConfig):
             trace(scene, camera, job.pixels, bundle, job.max_depth, job.rr_depth, found)
             for j in range(bundle.pixels * bundle.samples):
                 if finite(found[j].radiance):
-                    spread(camera, found[j], film_out)
+                    spread(camera, found[j], job.first_film_row, film_out)
                 else:
                     count_invalid(scene, sampler_in(job.pixels, bundle, j))
 

@@ -43,7 +43,7 @@ HOST_LAYERS = (
     {"accuracy", "boundary", "guiding", "interior", "optim", "sdf", "view"},
     {"render"},
     {"torch", "__init__"},
-    {"fit"},
+    {"distributed", "fit"},
     {"cli", "cli_output"},
 )
 #: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.

@@ -9,7 +9,7 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
-    from warp_psdr import boundary, fit, guiding, image_io, interior, losses, optim, plots, scenes, sdf
+    from warp_psdr import boundary, distributed, fit, guiding, image_io, interior, losses, optim, plots, scenes, sdf
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
@@ -25,7 +25,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.parts import render_parts
     from warp_psdr.plan.plan import Plan, plan
     from warp_psdr.render import render, render_backward, render_forward
-    from warp_psdr.scene.acceleration import set_ray_backend
+    from warp_psdr.scene.acceleration import set_ray_backend, set_vector_width
     from warp_psdr.scene.cornell_box import cornell_box
     from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
     from warp_psdr.scene.own_meshes import load_mesh, preview_scene
@@ -53,6 +53,7 @@ __all__ = [
     "boundary",
     "compile",
     "cornell_box",
+    "distributed",
     "fit",
     "guiding",
     "image_io",
@@ -78,6 +79,7 @@ __all__ = [
     "scenes",
     "sdf",
     "set_ray_backend",
+    "set_vector_width",
     "set_workers",
     "trace_sample",
     "traverse",
@@ -118,13 +120,27 @@ _PUBLIC = {
     "render_moment": "moment",
     "render_parts": "parts",
     "set_ray_backend": "scene.acceleration",
+    "set_vector_width": "scene.acceleration",
     "set_workers": "workers",
     "trace_sample": "estimate.trace",
     "traverse": "scene.parameters",
     "view": "view.viewer",
     "write_image": "image_io",
 }
-_MODULES = ("boundary", "fit", "guiding", "image_io", "interior", "losses", "optim", "plots", "scenes", "sdf", "torch")
+_MODULES = (
+    "boundary",
+    "distributed",
+    "fit",
+    "guiding",
+    "image_io",
+    "interior",
+    "losses",
+    "optim",
+    "plots",
+    "scenes",
+    "sdf",
+    "torch",
+)
 
 
 class _Package(ModuleType):

@@ -44,6 +44,8 @@ def launch_shards(
     device,
     progress: Callable[[float], None] | None = None,
     least: int = workers.MIN_CHUNK,
+    share: workers.Share = workers.WHOLE,
+    chunks: list[workers.Chunks] | None = None,
 ) -> None:
     """Run a kernel over items: in one launch on CUDA, in shards on the worker threads on the CPU.
 
@@ -55,22 +57,28 @@ def launch_shards(
         shards: on the CPU; independent of the number of workers.
         device: Warp device.
         progress: called with the finished fraction, by one worker at a time; not on CUDA.
-        least: items of a launch, as long as every shard gets some.
+        least: items of a launch, if there are so many.
+        share: which of the shards are run.
+        chunks: the launches of every shard; None: the items are dealt out in turn.
     """
     compiler.ensure([kernel], device)
     if not device.is_cpu:
-        launch(kernel, count, *arguments(0, count, 0), device)
+        first, own = share.stretch(count)
+        if own:
+            launch(kernel, own, *arguments(first, own, 0), device)
         return
-    parts = workers.chunks(count, shards, least)
+    dealt = workers.chunks(count, shards, least) if chunks is None else chunks
+    run = share.of(shards)
+    items = sum(n for i in run for _first, n in dealt[i])
     done, lock = 0, threading.Lock()
 
     def shard(i: int) -> None:
         nonlocal done
-        for first, n in parts[i]:
+        for first, n in dealt[i]:
             launch(kernel, n, *arguments(first, n, i), device)
             if progress is not None:
                 with lock:
                     done += n
-                    progress(done / count)
+                    progress(done / items)
 
-    workers.run_shards(shard, shards)
+    workers.run_shards(shard, run)

@@ -3,20 +3,31 @@
 A crash or a full disk can leave an empty or cut binary, and Warp 1.19 takes every file that exists for a whole one: the
 module then fails to load in every later run. ``load`` removes the folder of such a module and compiles it once more.
 What cannot be seen is a binary that loads and has every kernel, but other instructions.
+
+Processes that share a cache compile a module once: the others wait for the one that has begun.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
 import sys
+from collections.abc import Iterator
 
 import warp as wp
 
 from warp_psdr.quiet import quiet
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    fcntl = None  # type: ignore[assignment]
+
 #: What a compiled module leaves in the kernel cache, on the CPU and on CUDA.
 BINARIES = (".o", ".ptx", ".cubin")
+#: Folder of the kernel cache with an empty file for every module that was compiled: its lock.
+LOCKS = "warp_psdr_locks"
 #: Threads of a block on CUDA, ``wp.launch``'s default.
 CUDA_BLOCK = 256
 
@@ -29,7 +40,11 @@ def load(module: wp.Module, device: wp.Device) -> None:
     """
     cached = contains(module, device)
     try:
-        _load(module, device)
+        if cached:
+            _load(module, device)
+        else:
+            with _compiling(module, device):
+                _load(module, device)
     except Exception as error:
         if not cached:
             raise
@@ -54,6 +69,25 @@ def contains(module: wp.Module, device: wp.Device) -> bool:
     except OSError:
         return False
     return any(name.endswith(BINARIES[:1] if device.is_cpu else BINARIES[1:]) for name in files)
+
+
+@contextlib.contextmanager
+def _compiling(module: wp.Module, device: wp.Device) -> Iterator[None]:
+    """Keep other processes from compiling the same module meanwhile; one that dies lets go of it."""
+    cache, name = os.path.split(_folder(module, device))
+    try:
+        os.makedirs(os.path.join(cache, LOCKS), exist_ok=True)
+        file = os.open(os.path.join(cache, LOCKS, name), os.O_CREAT | os.O_RDWR)
+    except OSError:  # a cache that cannot be written to: Warp says so
+        yield
+        return
+    try:
+        if fcntl is not None:
+            with contextlib.suppress(OSError):  # a network file system without locks
+                fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(file)
 
 
 def _load(module: wp.Module, device: wp.Device) -> None:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import checked_seed, sample_count
-from warp_psdr.estimate.passes import STREAM_PRIMAL, Progress, boxed, splats
+from warp_psdr.estimate.calls import ImageCall
+from warp_psdr.estimate.draw import Draw
+from warp_psdr.estimate.passes import Progress, splats
 from warp_psdr.estimate.views import assembled, count_of_views, whole
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
@@ -77,16 +78,13 @@ def render_moment(
             "render_moment: samples count for several pixels, and a pixel has no moments of its own; "
             "give the film a 'box' filter"
         )
-    spp, stream = sample_count(scene, number, spp), mix_seed(checked_seed(seed), STREAM_PRIMAL)
+    spp, seed = sample_count(scene, number, spp), checked_seed(seed)
     plan = decide(scene, integrator=integrator_of(scene, integrator), sensor=number)
     shape = (camera.crop_height, camera.crop_width)
     sums = np.zeros((2, *shape, 3))
     for n in range(spp):
-        one = Image(shape, scene.device)
-        if not light.connected(plan):
-            boxed(scene, plan, number, 1, mix_seed(stream, n), one)
-        light.add_image(scene, plan, number, 1, mix_seed(stream, n), one)
-        values = one.numpy().astype(np.float64)
+        call = ImageCall(scene, plan, number, mix_seed(seed, n))
+        values = call.finish(call.draw(Draw(1))).numpy().astype(np.float64)
         sums += values, values * values
         if progress is not None:
             progress((n + 1) / spp)

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from warp_psdr.device import launch
 from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import checked_seed, flat_tangents, sample_count
 from warp_psdr.estimate.boundary.drivers import launch_forward
 from warp_psdr.estimate.boundary.terms import by_parts
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.passes import STREAM_BOUNDARY
 from warp_psdr.image import Image
+from warp_psdr.kernels.films import add_splats
+from warp_psdr.kernels.reduction import add_image
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
@@ -63,10 +67,14 @@ def render_parts(
     camera = scene.camera(number)
     size = (camera.crop_height, camera.crop_width)
     images = {part: Image(size, scene.device, signed=True) for part in ("interior", "smooth", "edges")}
-    light.forward(scene, plan, number, spp, seed, target, images["interior"], None)
+    draw = Draw(spp)
+    splats = light.forward(scene, plan, number, draw, seed, target, images["interior"])
+    if splats is not None:
+        launch(add_splats, dim=size, inputs=[splats], outputs=[images["interior"]], device=scene.device)
     if plan.boundary is not None:
         found = by_parts(scene, plan, names, number, spp, mix_seed(seed, STREAM_BOUNDARY))
         for part, launches in found.items():
             if launches:
-                launch_forward(scene, launches, target, images[part], None)
+                drawn = launch_forward(scene, launches, target, size, draw)
+                launch(add_image, dim=size, inputs=[drawn], outputs=[images[part]], device=scene.device)
     return images

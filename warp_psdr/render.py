@@ -10,7 +10,7 @@ import warp as wp
 
 from warp_psdr import compiler
 from warp_psdr.device import active_tape, launch
-from warp_psdr.estimate import choice, light
+from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import (
     adjoint_array,
     checked_seed,
@@ -20,31 +20,18 @@ from warp_psdr.estimate.arguments import (
     sample_count,
     samples,
 )
-from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
-from warp_psdr.estimate.boundary.terms import Term, terms
+from warp_psdr.estimate.calls import ImageCall, derivative
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
-from warp_psdr.estimate.guiding import automatic
-from warp_psdr.estimate.passes import (
-    STREAM_BOUNDARY,
-    STREAM_PRIMAL,
-    Progress,
-    boxed,
-    part,
-    splats,
-    splatted,
-    timed,
-)
+from warp_psdr.estimate.passes import Progress
 from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, shape_of_views
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
-from warp_psdr.kernels.films import resolve
 from warp_psdr.kernels.reduction import add_range
-from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
-from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.plan.plan import decide
 from warp_psdr.plan.transient import shape_of
-from warp_psdr.scene.derived_values import pull_kernels
 from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.edits import checksum
 from warp_psdr.scene.loaded import check_loaded
@@ -144,18 +131,12 @@ def render(
     sensor = views.sensors[0]
     spp = sample_count(scene, sensor, spp)
     gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
-    plan = decide(scene, integrator=integrator, sensor=sensor)
+    call = ImageCall(scene, decide(scene, integrator=integrator, sensor=sensor), sensor, seed)
     if tape is not None:
         # Says what cannot be differentiated, before the work.
         differentiated = decide(scene, params, integrator=integrator, sensor=sensor)
-        kernels = light.image_kernels(scene, plan, sensor)
-        compiler.begin([*kernels, *light.gradient_kernels(differentiated, "reverse")], scene.device)
-    image = Image(shape_of(scene, sensor), scene.device, requires_grad=tape is not None)
-    draw = timed if plan.times is not None else _render_splatted if splats(scene.camera(sensor)) else boxed
-    first, second = (progress, None) if plan.light is None else (part(progress, 0.0, 0.5), part(progress, 0.5, 0.5))
-    if not light.connected(plan):
-        draw(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), flat(image), first)
-    light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), image, second)
+        compiler.begin([*call.kernels(), *light.gradient_kernels(differentiated, "reverse")], scene.device)
+    image = call.finish(call.draw(Draw(spp), progress), requires_grad=tape is not None)
     if tape is not None and params is not None:
         _record(tape, image, scene, params, sensor=sensor, integrator=integrator, spp=gradient_spp, seed=seed)
     return image
@@ -187,12 +168,6 @@ def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **
         render_backward(scene, params, image.grad, **options)
 
     tape.record_func(backward, [image, *(params[name] for name in names)])
-
-
-def _render_splatted(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress) -> None:
-    """A sample counts for every pixel whose filter reaches it."""
-    film = splatted(scene, plan, sensor, spp, seed, progress)
-    launch(resolve, dim=image.shape, inputs=[film], outputs=[image], device=scene.device)
 
 
 @warns
@@ -261,16 +236,10 @@ def render_backward(
     spp = sample_count(scene, sensor, spp)
     adjoint = flat(adjoint_array(adjoint, shape_of(scene, sensor), scene.device))
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    guide = integrator.boundary == "auto"
+    call = derivative(scene, plan, names, "reverse", sensor, spp, seed, adjoint, guide=guide)
     sums = GradientSums(scene, names)
-    compiler.begin(light.gradient_kernels(plan, "reverse"), scene.device)
-    plan = choice.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
-    if integrator.boundary == "auto" and plan.boundary is not None:
-        plan = automatic.choose(scene, plan, names, "reverse", sensor, spp, seed, adjoint)
-    boundary = _boundary(scene, plan, names, "reverse", sensor, spp, seed)
-    compiler.begin(pull_kernels(scene, names), scene.device)
-    first, second = _shares(progress, adjoint.size * spp, boundary)
-    light.backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
-    launch_backward(scene, boundary, adjoint, sums, second)
+    call.add(Draw(spp), sums, progress)
     total = sums.result()
     for name in names:
         _add(scene, params, name, total, scene.parameters[name].offset)
@@ -358,27 +327,6 @@ def render_forward(
     plan = decide(scene, integrator=integrator, sensor=sensor, names=names)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
-    image = Image(shape_of(scene, sensor), scene.device, signed=True)
-    compiler.begin(light.gradient_kernels(plan, "forward"), scene.device)
-    plan = choice.choose(scene, plan, names, "forward", sensor, spp, seed, target)
-    if integrator.boundary == "auto" and plan.boundary is not None:
-        plan = automatic.choose(scene, plan, names, "forward", sensor, spp, seed, target)
-    boundary = _boundary(scene, plan, names, "forward", sensor, spp, seed)
-    first, second = _shares(progress, image.size * spp, boundary)
-    light.forward(scene, plan, sensor, spp, seed, target, flat(image), first)
-    if boundary:
-        launch_forward(scene, boundary, target, flat(image), second)
-    return image
-
-
-def _boundary(scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int) -> list[Term]:
-    """Return the launches of the boundary term; there are none where no discontinuity moves."""
-    if plan.boundary is None:
-        return []
-    return terms(scene, plan, names, role, sensor, spp, mix_seed(seed, STREAM_BOUNDARY))
-
-
-def _shares(progress: Progress | None, interior: int, boundary: list[Term]) -> tuple[Progress | None, Progress | None]:
-    """Split a call's progress over the samples of the interior and those of the boundary term."""
-    share = interior / (interior + sum(term.samples for term in boundary))
-    return part(progress, 0.0, share), part(progress, share, 1.0 - share)
+    guide = integrator.boundary == "auto"
+    call = derivative(scene, plan, names, "forward", sensor, spp, seed, target, guide=guide)
+    return call.image(call.draw(Draw(spp), progress))

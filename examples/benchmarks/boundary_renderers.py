@@ -71,9 +71,9 @@ class Secondary:
         scene, names = self._scene, [self._vertices]
         plan = psdr.plan(scene, names=names, integrator=self._integrator)
         camera = scene.camera(0)
-        image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
         request = terms.Request(scene, plan, motion(scene, names), "forward", 0, spp, seed)
-        drivers.launch_forward(scene, terms.launches(terms.named("secondary"), request), self._tangent, image)
+        found = terms.launches(terms.named("secondary"), request)
+        image = drivers.launch_forward(scene, found, self._tangent, (camera.crop_height, camera.crop_width))
         return image.numpy().astype(np.float64)
 
     def gradient(self, spp: int, seed: int) -> np.ndarray:

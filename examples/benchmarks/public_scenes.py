@@ -303,7 +303,7 @@ def main() -> None:
     options = parser.parse_args()
     size, spp = (16, 16) if options.quick else (24, 32)
     psdr.set_workers(options.threads)
-    sys.modules["warp_psdr.render"].STREAM_PRIMAL = STREAM_INTERIOR  # what images and derivatives share cancels
+    sys.modules["warp_psdr.estimate.calls"].STREAM_PRIMAL = STREAM_INTERIOR  # what images and derivatives share cancels
     report = Report("public_scenes.py", options.output)
     title = f"Derivatives in public scene files, {size} pixels across"
     sources, refused = [], []

@@ -58,8 +58,7 @@ def batches(name: str, parameter: str, tangent, boundary, *, term: str = SILHOUE
     found = []
     for seed in range(BATCHES):
         launched = terms.launches(terms.named(term), replace(request, seed=seed))
-        out = wp.zeros((request.camera.crop_height, request.camera.crop_width), dtype=wp.vec3)
-        launch_forward(scene, launched, tangents, out)
+        out = launch_forward(scene, launched, tangents, (request.camera.crop_height, request.camera.crop_width))
         found.append(out.numpy().astype(np.float64).sum(axis=2).reshape(4, out.shape[0] // 4, 4, -1).sum(axis=(1, 3)))
     return np.array(found)
 

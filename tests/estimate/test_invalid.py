@@ -135,7 +135,7 @@ def test_the_interior_term(mode: str, interior, monkeypatch) -> None:
         else:
             derivative = psdr.render_forward(scene, params, {FLOOR: 1.0}, **options).numpy()
     assert np.isfinite(derivative).all() and derivative.any()
-    monkeypatch.setattr(sys.modules["warp_psdr.render"], "STREAM_PRIMAL", 1)  # the random numbers of gradients
+    monkeypatch.setattr(sys.modules["warp_psdr.estimate.calls"], "STREAM_PRIMAL", 1)  # the random numbers of gradients
     assert psdr.invalid_samples(scene)["interior"] == hits().sum()
 
 

@@ -97,7 +97,7 @@ def test_an_error_in_a_lane_is_raised():
             raise RuntimeError("lane 3")
 
     with pytest.raises(RuntimeError, match="lane 3"):
-        workers.run_shards(lane, 8)
+        workers.run_shards(lane, range(8))
 
 
 @pytest.mark.parametrize("n", [0, -1, 1.5, "2", True])

@@ -84,15 +84,15 @@ def assert_steps_agree(fine: np.ndarray, coarse: np.ndarray) -> None:
 @contextlib.contextmanager
 def shared_random_numbers():
     """Let primal images use the random numbers of gradient passes, and edits keep the light selection."""
-    render = sys.modules["warp_psdr.render"]
-    stream, updates = render.STREAM_PRIMAL, {n: getattr(Lights, n) for n in LIGHT_UPDATES}
-    render.STREAM_PRIMAL = STREAM_INTERIOR
+    calls = sys.modules["warp_psdr.estimate.calls"]
+    stream, updates = calls.STREAM_PRIMAL, {n: getattr(Lights, n) for n in LIGHT_UPDATES}
+    calls.STREAM_PRIMAL = STREAM_INTERIOR
     for name in updates:
         setattr(Lights, name, lambda self, *args: None)
     try:
         yield
     finally:
-        render.STREAM_PRIMAL = stream
+        calls.STREAM_PRIMAL = stream
         for name, function in updates.items():
             setattr(Lights, name, function)
 

@@ -19,17 +19,17 @@ from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import adjoint_array, flat_tangents, requested
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, BoundaryTerm, Request, launches
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.passes import (
     STREAM_BOUNDARY,
     STREAM_PRIMAL,
-    boxed,
+    film_of,
     filter_margin,
     interior_backward,
     interior_forward,
     splats,
-    splatted,
 )
 from warp_psdr.estimate.views import whole
 from warp_psdr.kernels.medium.coefficients import SCALE, SIGMA_T
@@ -151,21 +151,21 @@ def image(scene: Scene, *, integrator: Integrator | None, sensor: int) -> Quanti
     shape = (camera.crop_height, camera.crop_width)
 
     def box_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
-        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
+        total = np.zeros((*shape, 3))
         for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
-            boxed(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), out, pixels=pixels)
-        return out.numpy().astype(np.float64).reshape(-1)
+            film = film_of(scene, plan, sensor, Draw(count), mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
+            total += film.numpy()[..., :3] / count
+        return total.reshape(-1)
 
     def light_batch(spp: int, seed: int) -> np.ndarray:
-        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        light.add_image(scene, plan, sensor, spp, mix_seed(seed, STREAM_PRIMAL), out)
-        found = out.numpy().astype(np.float64).reshape(-1)
+        film = light.film_of(scene, plan, sensor, Draw(spp), mix_seed(seed, STREAM_PRIMAL))
+        found = _flat(film, shape)
         return found if box else np.concatenate([np.zeros(film_size), found])
 
     def splat_batch(spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         total = np.zeros((*shape, 4))
         for pixels, count, _weight in tiling.launches(spp, seed, scene.device):
-            film = splatted(scene, plan, sensor, count, mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
+            film = film_of(scene, plan, sensor, Draw(count), mix_seed(seed, STREAM_PRIMAL), pixels=pixels)
             # Weighted by area: where tiles differ in their samples, a filter that reaches into both stays itself.
             total += film.numpy() / count
         return np.concatenate([total.reshape(-1), np.zeros(3 * film_size // 4 if light.traces(plan) else 0)])
@@ -206,20 +206,16 @@ def derivative(
     shape = (camera.crop_height, camera.crop_width)
 
     def light_batch(spp: int, seed: int) -> np.ndarray:
-        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        light.light_forward(scene, plan, sensor, spp, seed, target, out)
-        return out.numpy().astype(np.float64).reshape(-1)
+        return _flat(light.light_forward(scene, plan, sensor, Draw(spp), seed, target), shape)
 
     def over_pixels(own: Plan, spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
         for pixels, count, weight in tiling.launches(spp, seed, scene.device) if own.seen_wanted is not None else ():
-            interior_forward(scene, own, sensor, count, seed, target, out, pixels=pixels, weight=weight)
+            interior_forward(scene, own, sensor, Draw(count), seed, target, out, pixels=pixels, weight=weight)
         return out.numpy().astype(np.float64).reshape(-1)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
-        out = wp.zeros(shape, dtype=wp.vec3, device=scene.device)
-        launch_forward(scene, request(spp, seed), target, out)
-        return out.numpy().astype(np.float64).reshape(-1)
+        return _flat(launch_forward(scene, request(spp, seed), target, shape), shape)
 
     blocks = {IMAGE: slice(0, 3 * shape[0] * shape[1])}
     (title, first), *beside = _interior_parts(scene, plan, integrator, sensor, list(tangents))
@@ -250,13 +246,13 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
 
     def light_batch(spp: int, seed: int) -> np.ndarray:
         sums = GradientSums(scene, names)
-        light.light_backward(scene, plan, sensor, spp, seed, array, sums)
+        light.light_backward(scene, plan, sensor, Draw(spp), seed, array, sums)
         return collected(sums)
 
     def over_pixels(own: Plan, spp: int, seed: int, tiling: Tiling) -> np.ndarray:
         sums = GradientSums(scene, names)
         for pixels, count, weight in tiling.launches(spp, seed, scene.device) if own.seen_wanted is not None else ():
-            interior_backward(scene, own, sensor, count, seed, array, sums, pixels=pixels, weight=weight)
+            interior_backward(scene, own, sensor, Draw(count), seed, array, sums, pixels=pixels, weight=weight)
         return collected(sums)
 
     def boundary(request: Callable[[int, int], list], spp: int, seed: int) -> np.ndarray:
@@ -268,6 +264,11 @@ def gradient(scene: Scene, params: Parameters, adjoint, *, integrator: Integrato
     found = Quantity(scene, plan, "reverse", sensor, (), blocks, partial(over_pixels, first), adjoint=array.numpy())
     more = _light_parts(plan, light_batch) + _boundary_parts(found, names, boundary)
     return _with(found, title, _beside(found, over_pixels, beside) + more)
+
+
+def _flat(film: wp.array | None, shape: tuple[int, int]) -> np.ndarray:
+    """Return what a pass drew, (H, W) of three, as a batch; None is nothing."""
+    return np.zeros(3 * shape[0] * shape[1]) if film is None else film.numpy().astype(np.float64).reshape(-1)
 
 
 def _interior_parts(

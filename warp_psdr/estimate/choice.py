@@ -18,6 +18,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import compiler, workers
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.passes import camera_gradient_kernels, interior_backward, interior_forward
 from warp_psdr.kernels.rng import mix_seed
@@ -81,6 +82,18 @@ def choose(
         if len(found.plain) < REMEMBERED:
             found.plain.add(call)
     return choice.by(plan, None)
+
+
+def taken(scene: Scene, plan: Plan, names: list[str]) -> Branches | None:
+    """Return the method that a pilot chose for a plan that ``choose`` returned; None: the plan has its own."""
+    found = choice.known(scene, names, plan.max_depth)
+    return found.method if plan.offered and found.method is not None and plan == choice.by(plan, found.method) else None
+
+
+def due(scene: Scene, plan: Plan, names: list[str]) -> bool:
+    """Return whether ``choose`` would run a pilot now, which needs what it is given."""
+    found = choice.known(scene, names, plan.max_depth)
+    return bool(plan.offered) and not found.decided and found.spent >= SPENT
 
 
 def decide(
@@ -148,7 +161,7 @@ def variance(
 def _image(scene: Scene, plan: Plan, _names, sensor: int, seed: int, given: wp.array, pixels: wp.array) -> np.ndarray:
     camera = scene.camera(sensor)
     image = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec3, device=scene.device)
-    interior_forward(scene, plan, sensor, SPP, seed, given, image, pixels=pixels)
+    interior_forward(scene, plan, sensor, Draw(SPP), seed, given, image, pixels=pixels)
     return image.numpy().astype(np.float64).reshape(-1)
 
 
@@ -157,10 +170,10 @@ def _sums(
 ) -> np.ndarray:
     """Return what a batch adds to the gradient, (blocks of pixels, numbers); of many numbers in one block."""
     sums = GradientSums(scene, names)
-    interior_backward(scene, plan, sensor, SPP, seed, given, sums, pixels=pixels)
+    interior_backward(scene, plan, sensor, Draw(SPP), seed, given, sums, pixels=pixels)
     parameters = [scene.parameters[name] for name in names]
     many = sum(p.size for p in parameters) > MANY
-    rows = [sums.result(shard).numpy() for shard in ((None,) if many else range(len(sums.buffers)))]
+    rows = [sums.result(shard).numpy() for shard in ((None,) if many else range(sums.shards))]
     return np.stack([np.concatenate([row[p.offset : p.offset + p.size] for p in parameters]) for row in rows]).astype(
         np.float64
     )

@@ -21,6 +21,7 @@ class PixelSamples:
         scale: of what a sample gives.
         first_sample: number of the first.
         margin: by which the raster exceeds the image on each side, pixels.
+        first_film_row: of the image, of a film that holds a band of its rows.
         adjoint: (H, W) of vec3, where the pass reads it.
     """
 
@@ -31,6 +32,7 @@ class PixelSamples:
     scale: float = 1.0
     first_sample: int = 0
     margin: int = 0
+    first_film_row: int = 0
     adjoint: wp.array | None = None
 
     def job(self, pixels: wp.array) -> PixelJob:
@@ -38,6 +40,7 @@ class PixelSamples:
         job = PixelJob()
         job.pixels = pixels
         job.margin = self.margin
+        job.first_film_row = self.first_film_row
         job.first_sample = self.first_sample
         job.samples = self.samples
         job.scale = self.scale

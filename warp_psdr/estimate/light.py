@@ -13,6 +13,7 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.estimate.passes import (
     STREAM_INTERIOR,
@@ -27,7 +28,7 @@ from warp_psdr.estimate.passes import (
     part,
 )
 from warp_psdr.kernels.connection import make_connected_image_kernel
-from warp_psdr.kernels.films import add_splats, collect_splats
+from warp_psdr.kernels.films import collect_splats
 from warp_psdr.kernels.interior.connected import make_connected_kernel
 from warp_psdr.kernels.interior.light_motion_replay import (
     make_light_motion_forward_kernel,
@@ -68,12 +69,14 @@ def _kernels(plan: Plan) -> list[wp.Kernel]:
     return [make_light_image_kernel(plan.light.paths)] if plan.light is not None and traces(plan) else []
 
 
-def add_image(
-    scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
-) -> None:
-    """Add what the light paths find to an image; ``seed`` is that of the image's other paths."""
-    for kernel in _kernels(plan):
-        _splat(scene, plan, kernel, sensor, spp, seed, [], image, progress)
+def film_of(
+    scene: Scene, plan: Plan, sensor: int, draw: Draw, seed: int, progress: Progress | None = None
+) -> wp.array | None:
+    """Return what the light paths find, (H, W) of vec3d; None: there are none.
+
+    ``seed`` is that of the image's other paths.
+    """
+    return _splatted(scene, plan, _kernels(plan), sensor, draw, seed, [], progress)
 
 
 def gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
@@ -86,7 +89,7 @@ def backward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     adjoint: wp.array,
     sums: GradientSums,
@@ -95,15 +98,15 @@ def backward(
     """Add the gradient of the interior term, of paths from the camera and of those from the lights."""
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
-        interior_backward(scene, plan, sensor, spp, seed, adjoint, sums, first)
-    light_backward(scene, plan, sensor, spp, seed, adjoint, sums, second)
+        interior_backward(scene, plan, sensor, draw, seed, adjoint, sums, first)
+    light_backward(scene, plan, sensor, draw, seed, adjoint, sums, second)
 
 
 def light_backward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     adjoint: wp.array,
     sums: GradientSums,
@@ -119,12 +122,13 @@ def light_backward(
             scene,
             kernel,
             (camera.crop_width, camera.crop_height),
-            replace(_paths(plan, camera, spp, mix_seed(seed, STREAM_INTERIOR)), adjoint=adjoint),
+            replace(_paths(plan, camera, draw, mix_seed(seed, STREAM_INTERIOR)), adjoint=adjoint),
             camera,
-            lambda shard: [sphere, sums.buffers[shard], *unused],
-            shards=len(sums.buffers),
+            lambda shard: [sphere, sums.buffer(shard), *unused],
+            shards=sums.shards,
             kind="light",
             progress=progress,
+            share=draw.share,
         )
 
 
@@ -132,34 +136,35 @@ def forward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     target: wp.array,
     image: wp.array,
     progress: Progress | None = None,
-) -> None:
-    """Add the derivative of the interior term along flat tangents, of both kinds of paths."""
+) -> wp.array | None:
+    """Add the derivative of the interior term along flat tangents to an image, that of paths from the camera.
+
+    Returns:
+        That of the paths from the lights, (H, W) of vec3d; None: there are none.
+    """
     first, second = _halves(plan, progress)
     if plan.seen_wanted is not None:
-        interior_forward(scene, plan, sensor, spp, seed, target, image, first)
-    light_forward(scene, plan, sensor, spp, seed, target, image, second)
+        interior_forward(scene, plan, sensor, draw, seed, target, image, first)
+    return light_forward(scene, plan, sensor, draw, seed, target, second)
 
 
 def light_forward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     target: wp.array,
-    image: wp.array,
     progress: Progress | None = None,
-) -> None:
-    """Add the derivative of what the light paths find, along flat tangents."""
-    found = _gradient_kernels(plan, "forward")
-    for i, kernel in enumerate(found):
-        done = part(progress, i / len(found), 1.0 / len(found))
-        _splat(scene, plan, kernel, sensor, spp, mix_seed(seed, STREAM_INTERIOR), [target], image, done)
+) -> wp.array | None:
+    """Return the derivative of what the light paths find, along flat tangents, (H, W) of vec3d; None: nothing."""
+    kernels = _gradient_kernels(plan, "forward")
+    return _splatted(scene, plan, kernels, sensor, draw, mix_seed(seed, STREAM_INTERIOR), [target], progress)
 
 
 def _halves(plan: Plan, progress: Progress | None) -> tuple[Progress | None, Progress | None]:
@@ -184,11 +189,12 @@ def _gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     return found or [make_light_replay_kernel(paths, plan.wanted, kept.block, kept.blocks)]
 
 
-def _paths(plan: Plan, camera: Camera, spp: int, seed: int) -> PixelSamples:
+def _paths(plan: Plan, camera: Camera, draw: Draw, seed: int) -> PixelSamples:
     """Return the light paths of a pass."""
-    scale = 1.0 / (float(spp) * camera.crop_width * camera.crop_height)
+    scale = 1.0 / (float(draw.spp) * camera.crop_width * camera.crop_height)
     depth = depth_of(plan, None if plan.light is None else plan.light.kept)
-    return PixelSamples(spp, mix_seed(seed, STREAM_LIGHT), depth, plan.rr_depth, scale=scale)
+    random = mix_seed(seed, STREAM_LIGHT)
+    return PixelSamples(draw.count, random, depth, plan.rr_depth, scale=scale, first_sample=draw.first)
 
 
 def traces(plan: Plan) -> bool:
@@ -196,39 +202,45 @@ def traces(plan: Plan) -> bool:
     return plan.light is not None and plan.light.joins and plan.max_depth != 1
 
 
-def _splat(
+def _splatted(
     scene: Scene,
     plan: Plan,
-    kernel: wp.Kernel,
+    kernels: list[wp.Kernel],
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     inputs: list,
-    image: wp.array,
     progress: Progress | None,
-) -> None:
-    """Run a kernel that splats to films, and add these to an image."""
+) -> wp.array | None:
+    """Run kernels that splat to films, and return the sum of these, (H, W) of vec3d; None: there are no kernels."""
+    if not kernels:
+        return None
     camera = scene.camera(sensor)
     shape = (camera.crop_height, camera.crop_width)
     sphere = bounding_sphere(scene)
     shards = workers.shard_count(3 * shape[0] * shape[1]) if scene.device.is_cpu else 1
-    films = wp.zeros((shards, *shape), dtype=wp.vec3, device=scene.device)
-    total = wp.zeros(shape, dtype=wp.vec3d, device=scene.device)
-    paths = _paths(plan, camera, spp, seed)
-    for first, samples, reported in blocks_of(spp, FILM_PATHS, progress):
-        launch_pass(
-            scene,
-            kernel,
-            (camera.crop_width, camera.crop_height),
-            replace(paths, samples=samples, first_sample=first),
-            camera,
-            lambda shard: [sphere, *inputs, films[shard]],
-            shards=shards,
-            kind="light",
-            progress=reported,
-        )
-        launch(collect_splats, dim=shape, inputs=[films], outputs=[total], device=scene.device)
-    launch(add_splats, dim=shape, inputs=[total], outputs=[image], device=scene.device)
+    own = draw.share.of(shards) if scene.device.is_cpu else range(1)
+    lanes = (max(len(own), 1), *shape)
+    films = wp.zeros(lanes, dtype=wp.vec3, device=scene.device)
+    totals = wp.zeros(lanes, dtype=wp.vec3d, device=scene.device)
+    paths = _paths(plan, camera, draw, seed)
+    for i, kernel in enumerate(kernels):
+        told = part(progress, i / len(kernels), 1.0 / len(kernels))
+        for first, samples, reported in blocks_of(draw, FILM_PATHS, told):
+            launch_pass(
+                scene,
+                kernel,
+                (camera.crop_width, camera.crop_height),
+                replace(paths, samples=samples, first_sample=first),
+                camera,
+                lambda shard: [sphere, *inputs, films[shard - own.start]],
+                shards=shards,
+                kind="light",
+                progress=reported,
+                share=draw.share,
+            )
+            launch(collect_splats, dim=lanes, inputs=[films], outputs=[totals], device=scene.device)
+    return workers.tree_sum(totals)
 
 
 def bounding_sphere(scene: Scene) -> wp.vec4:

@@ -14,12 +14,13 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch, launch_shards
+from warp_psdr.device import launch, launch_shards, shared_copy
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.jobs import PixelSamples
 from warp_psdr.invalid import counting
 from warp_psdr.kernels.aov import ROW, make_aov_kernel
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.films import add_splats, collect
+from warp_psdr.kernels.films import collect_band
 from warp_psdr.kernels.primal import make_primal_kernel
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.splat import make_splat_kernel
@@ -57,76 +58,124 @@ def image_kernel(scene: Scene, plan: Plan, sensor: int) -> wp.Kernel:
     return make(plan.seen)
 
 
-def boxed(
+def film_of(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
-    image: wp.array,
     progress: Progress | None = None,
     pixels: wp.array | None = None,
-) -> None:
-    """Add the mean of ``spp`` samples to every pixel, or to those listed; a sample counts in its own pixel."""
+    squares: wp.array | None = None,
+) -> wp.array:
+    """Return a film, (H, W) of vec4d: sums of weighted radiance and of weights, of all pixels or of those listed.
+
+    Args:
+        scene: the scene.
+        plan: of the image.
+        sensor: which camera.
+        draw: its samples.
+        seed: of the image's stream.
+        progress: called with the finished fraction.
+        pixels: numbers of pixels of the raster, which a wide filter extends by ``filter_margin``.
+        squares: (H, W) of vec3d, what receives the sums of squares where a sample counts in its own pixel alone.
+    """
+    if splats(scene.camera(sensor)):
+        return _splatted(scene, plan, sensor, draw, seed, progress, pixels)
     camera = scene.camera(sensor)
+    film = wp.zeros((camera.crop_height, camera.crop_width), dtype=wp.vec4d, device=scene.device)
+    if squares is None:
+        squares = wp.zeros((0, 0), dtype=wp.vec3d, device=scene.device)
+    _to_pixels(scene, plan, sensor, draw, seed, [film, squares], progress, pixels)
+    return film
+
+
+def timed(
+    scene: Scene, plan: Plan, sensor: int, draw: Draw, seed: int, film: wp.array, progress: Progress | None = None
+) -> None:
+    """Add the mean of the samples to the bins of every pixel, (H, W bins) of vec3d."""
+    _to_pixels(scene, plan, sensor, draw, seed, [film], progress)
+
+
+def _to_pixels(
+    scene: Scene,
+    plan: Plan,
+    sensor: int,
+    draw: Draw,
+    seed: int,
+    outputs: list[wp.array],
+    progress: Progress | None,
+    pixels: wp.array | None = None,
+) -> None:
+    """Run the image's kernel where a sample counts in its own pixel alone."""
+    camera = scene.camera(sensor)
+    samples = PixelSamples(
+        draw.count, seed, plan.max_depth, plan.rr_depth, scale=1.0 / draw.spp, first_sample=draw.first
+    )
     launch_pass(
         scene,
         image_kernel(scene, plan, sensor),
         (camera.crop_width, camera.crop_height),
-        PixelSamples(spp, seed, plan.max_depth, plan.rr_depth, scale=1.0 / spp),
+        samples,
         camera,
-        lambda _shard: [image],
+        lambda _shard: outputs,
         shards=workers.SHARDS,
         kind="image",
         progress=progress,
         listed=pixels,
         reads=_gates(plan),
+        share=draw.share,
     )
 
 
-def splatted(
+def _splatted(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
-    progress: Progress | None = None,
-    pixels: wp.array | None = None,
+    progress: Progress | None,
+    pixels: wp.array | None,
 ) -> wp.array:
-    """Return a film, (H, W) of vec4d: sums of weighted radiance and of weights (``kernels/splat.py``).
-
-    ``pixels`` lists pixels of the raster, which is extended by ``filter_margin``.
-    """
+    """Return the film under a filter by which a sample counts for several pixels (``kernels/splat.py``)."""
     camera = scene.camera(sensor)
     margin = filter_margin(camera)
-    shape = (camera.crop_height, camera.crop_width)
-    shards = workers.shard_count(4 * shape[0] * shape[1]) if scene.device.is_cpu else 1
-    films = wp.zeros((shards, *shape), dtype=wp.vec4, device=scene.device)
-    total = wp.zeros(shape, dtype=wp.vec4d, device=scene.device)
-    for first_sample, samples, reported in blocks_of(spp, FILM_SAMPLES, progress):
+    raster = (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin)
+    width, height = camera.crop_width, camera.crop_height
+    reach = math.floor(camera.filter_radius + 0.5) + 1  # rows; one more than is exact
+    count = workers.below(min(workers.SHARDS, max(raster[1] // (2 * reach), 1))) if scene.device.is_cpu else 1
+    order = workers.pixel_order(*raster) if pixels is None else pixels.numpy()
+    band = order // raster[0] * count // raster[1]
+    order = wp.array(order[np.argsort(band, kind="stable")], dtype=wp.int32, device=scene.device)
+    ends = np.cumsum(np.bincount(band, minlength=count))
+    films, first_rows = {}, {}
+    for shard in draw.share.of(count) if scene.device.is_cpu else (0,):
+        first, stop = (-(-n * raster[1] // count) - margin for n in (shard, shard + 1))
+        first, stop = max(first - reach, 0), min(stop + reach, height)
+        films[shard] = wp.zeros((max(stop - first, 0), width), dtype=wp.vec4, device=scene.device)
+        first_rows[shard] = first
+    total = wp.zeros((height, width), dtype=wp.vec4d, device=scene.device)
+    samples = PixelSamples(FILM_SAMPLES, seed, plan.max_depth, plan.rr_depth, margin=margin)
+    for first_sample, number, reported in blocks_of(draw, FILM_SAMPLES, progress):
         launch_pass(
             scene,
             image_kernel(scene, plan, sensor),
-            (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin),
-            PixelSamples(samples, seed, plan.max_depth, plan.rr_depth, first_sample=first_sample, margin=margin),
+            raster,
+            replace(samples, samples=number, first_sample=first_sample),
             camera,
             lambda shard: [films[shard]],
-            shards=shards,
+            shards=count,
             kind="image",
             progress=reported,
-            listed=pixels,
+            listed=order,
+            share=draw.share,
+            chunks=workers.stretches(ends),
+            first_film_rows=first_rows,
         )
-        launch(collect, dim=shape, inputs=[films], outputs=[total], device=scene.device)
+        for shard, film in films.items():
+            launch(collect_band, dim=film.shape, inputs=[film, first_rows[shard]], outputs=[total], device=scene.device)
+            film.zero_()
     return total
-
-
-def timed(
-    scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, image: wp.array, progress: Progress | None = None
-) -> None:
-    """Add the mean of ``spp`` samples to the bins of every pixel, (H, W bins); a sample counts in its own pixel."""
-    film = wp.zeros(image.shape, dtype=wp.vec3d, device=scene.device)
-    boxed(scene, plan, sensor, spp, seed, film, progress)
-    launch(add_splats, dim=image.shape, inputs=[film], outputs=[image], device=scene.device)
 
 
 def _gates(plan: Plan) -> list:
@@ -161,7 +210,7 @@ def interior_backward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     adjoint: wp.array,
     sums: GradientSums,
@@ -172,9 +221,7 @@ def interior_backward(
     """Add the gradient of the interior term, of all pixels or of those listed, times a weight."""
     camera = scene.camera(sensor)
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    samples = PixelSamples(
-        spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp, adjoint=adjoint
-    )
+    samples = replace(_interior(plan, draw, seed, weight), adjoint=adjoint)
     kernels = camera_gradient_kernels(plan, "reverse")
     for i, kernel in enumerate(kernels):
         launch_pass(
@@ -183,13 +230,14 @@ def interior_backward(
             (camera.crop_width, camera.crop_height),
             samples,
             camera,
-            lambda shard: [sums.buffers[shard], dummy],
-            shards=len(sums.buffers),
+            lambda shard: [sums.buffer(shard), dummy],
+            shards=sums.shards,
             kind="interior",
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
             reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
+            share=draw.share,
         )
 
 
@@ -197,7 +245,7 @@ def interior_forward(
     scene: Scene,
     plan: Plan,
     sensor: int,
-    spp: int,
+    draw: Draw,
     seed: int,
     target: wp.array,
     image: wp.array,
@@ -213,7 +261,7 @@ def interior_forward(
             scene,
             kernel,
             (camera.crop_width, camera.crop_height),
-            PixelSamples(spp, mix_seed(seed, STREAM_INTERIOR), depth_of(plan), plan.rr_depth, scale=weight / spp),
+            _interior(plan, draw, seed, weight),
             camera,
             lambda _shard: [target, image],
             shards=workers.SHARDS,
@@ -222,7 +270,20 @@ def interior_forward(
             listed=pixels,
             fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
             reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
+            share=draw.share,
         )
+
+
+def _interior(plan: Plan, draw: Draw, seed: int, weight: float) -> PixelSamples:
+    """Return the samples of the interior term."""
+    return PixelSamples(
+        draw.count,
+        mix_seed(seed, STREAM_INTERIOR),
+        depth_of(plan),
+        plan.rr_depth,
+        scale=weight / draw.spp,
+        first_sample=draw.first,
+    )
 
 
 def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
@@ -257,11 +318,11 @@ def depth_of(plan: Plan, own: Kept | None = None) -> int:
     return longest if longest and plan.max_depth < 0 else plan.max_depth
 
 
-def blocks_of(spp: int, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
+def blocks_of(draw: Draw, most: int, progress: Progress | None) -> Iterator[tuple[int, int, Progress | None]]:
     """Split a pixel's samples: yield (first, count, progress of these), ``most`` of them at a time."""
-    for first in range(0, spp, most):
-        count = min(most, spp - first)
-        yield first, count, part(progress, first / spp, count / spp)
+    for done in range(0, draw.count, most):
+        count = min(most, draw.count - done)
+        yield draw.first + done, count, part(progress, done / draw.count, count / draw.count)
 
 
 def part(progress: Progress | None, start: float, share: float) -> Progress | None:
@@ -283,11 +344,16 @@ def launch_pass(
     listed: wp.array | None = None,
     fields: dict[str, wp.array] | None = None,
     reads: Sequence = (),
+    share: workers.Share = workers.WHOLE,
+    chunks: list[workers.Chunks] | None = None,
+    first_film_rows: dict[int, int] | None = None,
 ) -> None:
     """Run a kernel over a raster (width, height): in one launch on CUDA, in shards on worker threads on the CPU.
 
     ``kind``: what its samples are. ``outputs``: of a shard. ``listed``: numbers of the raster's pixels, instead of all
     of them. ``fields``: of ``structs.Scene``, those of this pass. ``reads``: what the kernel takes in front of its job.
+    ``share``: which of the shards are run. ``chunks``: as of ``launch_shards``. ``first_film_rows``: of a shard's film,
+    where it holds a band of rows.
     """
     data = scene.data()
     for name, values in (fields or {}).items():
@@ -298,7 +364,10 @@ def launch_pass(
     count = order.shape[0]
     shards = shards if scene.device.is_cpu else 1
     # A record for every lane: the launches of one lane follow each other, those of several run side by side.
-    jobs = [samples.job(order) for _ in range(shards)]
+    template = samples.job(order)
+    jobs = [shared_copy(template) for _ in range(shards)]
+    for shard, row in (first_film_rows or {}).items():
+        jobs[shard].first_film_row = row
 
     with counting(scene, kind, count * samples.samples, shards, (raster[0], samples.margin)) as of_shard:
 
@@ -307,4 +376,13 @@ def launch_pass(
             job.first_pixel, job.pixel_count = first, n
             return [of_shard(data, shard), camera, *reads, job], outputs(shard)
 
-        launch_shards(kernel, count, arguments, shards=shards, device=scene.device, progress=progress)
+        launch_shards(
+            kernel,
+            count,
+            arguments,
+            shards=shards,
+            device=scene.device,
+            progress=progress,
+            share=share,
+            chunks=chunks,
+        )

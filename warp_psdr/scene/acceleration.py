@@ -22,6 +22,7 @@ ALIGNMENT = 64
 
 _BACKENDS = ("auto", "warp", "wide")
 _ray_backend = "auto"
+_vector_width: int | None = None
 
 
 def set_ray_backend(name: str) -> None:
@@ -35,6 +36,29 @@ def set_ray_backend(name: str) -> None:
     """
     global _ray_backend
     _ray_backend = _checked(name)
+
+
+def set_vector_width(width: int | None) -> None:
+    """Choose how many numbers vectors hold in the kernels of scenes made from now on, on the CPU.
+
+    The last bits of some sums depend on it. Machines that are to agree to the bit take one width, which need not be
+    what their processors have: a processor with AVX2 takes two steps for 16 numbers.
+
+    Args:
+        width: 4, 8 or 16; None: what suits this machine's processor (16 with AVX-512, 8 with AVX2, else 4).
+
+    Raises:
+        ValueError: Any other number.
+    """
+    global _vector_width
+    if width is not None and (isinstance(width, bool) or width not in WIDTHS):
+        raise ValueError(f"vector width: got {width!r}, expected one of {WIDTHS}, or None for this machine's own")
+    _vector_width = width
+
+
+def vector_width() -> int:
+    """Return how many numbers vectors hold in the kernels of scenes that are made now."""
+    return _vector_width or host_width()
 
 
 def host_width() -> int:
@@ -77,7 +101,7 @@ class Accelerator:
             indices: Vertex numbers, flat int32, three a triangle. Kept.
             device: Where the arrays live.
             backend: ``"warp"``, ``"wide"``, ``"auto"`` or None for what ``set_ray_backend`` says.
-            width: SIMD lanes of the wide BVH, 4, 8 or 16; None for the host's.
+            width: SIMD lanes of the wide BVH, 4, 8 or 16; None for what ``set_vector_width`` says.
             built: False leaves that to ``rebuild``.
 
         Raises:
@@ -94,7 +118,7 @@ class Accelerator:
         if width is not None and width not in WIDTHS:
             raise ValueError(f"width {width}: expected one of {WIDTHS}")
         self.backend = name
-        self.width = (width or host_width()) if name == "wide" else 1
+        self.width = (width or vector_width()) if name == "wide" else 1
         self.data = Accel()
         self.nbytes = 0
         self.cost = 0.0

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch, launch_shards
+from warp_psdr.device import launch_shards
 from warp_psdr.estimate.arguments import MOST_SAMPLES
 from warp_psdr.estimate.boundary.terms import Term
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.passes import Progress, part
 from warp_psdr.invalid import counting
-from warp_psdr.kernels.reduction import add_images
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.gradient_sums import GradientSums
     from warp_psdr.scene.scene import Scene
 
+#: All samples of a term.
+ALL = Draw(1)
 #: Samples of a launch beside shapes without triangles: to prepare one takes as long as some hundred samples.
 LEAST = 1024
-#: Images of forward mode's shards together hold at most this many floats (64 MB).
-SHARD_IMAGE_FLOATS = 1 << 24
 
 
 def launch_backward(
-    scene: Scene, found: list[Term], adjoint: wp.array, sums: GradientSums, progress: Progress | None = None
+    scene: Scene,
+    found: list[Term],
+    adjoint: wp.array,
+    sums: GradientSums,
+    draw: Draw = ALL,
+    progress: Progress | None = None,
 ) -> None:
     """Add the gradient of some terms.
 
@@ -35,31 +41,49 @@ def launch_backward(
         found: its terms, of role "reverse".
         adjoint: (H, W) of vec3.
         sums: what it is added to.
+        draw: which of their samples are drawn.
         progress: called with the finished fraction.
     """
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    buffers = sums.buffers
     for term, reported in _reporting(found, progress):
-        _run(scene, term, adjoint, lambda shard: [buffers[shard], dummy], len(buffers), reported)
+        shards = _shards(scene, term, sums.shards)
+        outputs = functools.partial(_reverse, sums, shards, dummy)
+        _run(scene, term, adjoint, outputs, shards, draw, reported)
 
 
 def launch_forward(
-    scene: Scene, found: list[Term], tangents: wp.array, image: wp.array, progress: Progress | None = None
-) -> None:
-    """Add the derivative of some terms, of role "forward", along flat tangents to an image."""
+    scene: Scene,
+    found: list[Term],
+    tangents: wp.array,
+    shape: tuple[int, int],
+    draw: Draw = ALL,
+    progress: Progress | None = None,
+) -> wp.array:
+    """Return the derivative of some terms, of role "forward", along flat tangents, an image (H, W) of vec3."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    height, width = image.shape
-    shards = max(2, min(workers.SHARDS, SHARD_IMAGE_FLOATS // (3 * height * width))) if scene.device.is_cpu else 1
-    images = wp.zeros((shards, height, width), dtype=wp.vec3, device=scene.device)
+    height, width = shape
+    most = workers.shard_count(3 * height * width) if scene.device.is_cpu else 1
+    own = draw.share.of(most) if scene.device.is_cpu else range(1)
+    images = wp.zeros((max(len(own), 1), height, width), dtype=wp.vec3, device=scene.device)
     for term, reported in _reporting(found, progress):
-        _run(scene, term, dummy, lambda shard: [tangents, images[shard]], shards, reported)
-    launch(add_images, dim=(height, width), inputs=[images], outputs=[image], device=scene.device)
+        shards = _shards(scene, term, most)
+        outputs = functools.partial(_forward, images, most // shards, own.start, tangents)
+        _run(scene, term, dummy, outputs, shards, draw, reported)
+    return workers.tree_sum(images)
+
+
+def _reverse(sums: GradientSums, shards: int, unused: wp.array, shard: int) -> list:
+    return [sums.buffer(shard, shards), unused]
+
+
+def _forward(images: wp.array, step: int, first: int, tangents: wp.array, shard: int) -> list:
+    return [tangents, images[shard * step - first]]
 
 
 def launch_samples(scene: Scene, term: Term, adjoint: wp.array, records: wp.array) -> None:
     """Write the record of every sample of a term of role "samples"."""
     dummy = wp.zeros((1, 1), dtype=wp.vec3, device=scene.device)
-    _run(scene, term, adjoint, lambda _shard: [records, dummy], 1)
+    _run(scene, term, adjoint, lambda _shard: [records, dummy], 1, ALL)
 
 
 def _reporting(found: list[Term], progress: Progress | None) -> Iterator[tuple[Term, Progress | None]]:
@@ -79,21 +103,36 @@ def _checked(term: Term) -> Term:
     return term
 
 
+def _shards(scene: Scene, term: Term, most: int) -> int:
+    """Return how many shards a term's launches are dealt out to: few samples are not worth many launches."""
+    return min(most, workers.below(max(term.samples // LEAST, 1))) if scene.builder.primitives else most
+
+
 def _run(
     scene: Scene,
     term: Term,
     adjoint: wp.array,
     outputs: Callable[[int], list],
     shards: int,
+    draw: Draw,
     progress: Progress | None = None,
 ) -> None:
     """Launch the samples of a term; ``outputs``: of a shard."""
-    count = _checked(term).samples
+    begin, count = draw.of_term(_checked(term).samples)
     least = LEAST if scene.builder.primitives else workers.MIN_CHUNK
     with counting(scene, term.kind, count, shards) as of_shard:
 
         def arguments(first: int, _count: int, shard: int) -> tuple[list, list]:
-            data, *rest = term.inputs(first, adjoint)
+            data, *rest = term.inputs(begin + first, adjoint)
             return [of_shard(data, shard), *rest], outputs(shard)
 
-        launch_shards(term.kernel, count, arguments, shards=shards, device=scene.device, progress=progress, least=least)
+        launch_shards(
+            term.kernel,
+            count,
+            arguments,
+            shards=shards,
+            device=scene.device,
+            progress=progress,
+            least=least,
+            share=draw.share,
+        )

@@ -19,6 +19,7 @@ import warp as wp
 from warp_psdr import compiler
 from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.passes import STREAM_BOUNDARY, interior_backward, interior_forward
 from warp_psdr.kernels.rng import mix_seed
@@ -159,14 +160,14 @@ def _batch(
     if not shadow:
         samples += request.pixels * spp
     if role == "forward":
-        image = wp.zeros((request.camera.crop_height, request.camera.crop_width), dtype=wp.vec3, device=scene.device)
+        shape = (request.camera.crop_height, request.camera.crop_width)
+        image = launch_forward(scene, terms, given, shape)
         if not shadow:
-            interior_forward(scene, plan, sensor, spp, seed, given, image)
-        launch_forward(scene, terms, given, image)
+            interior_forward(scene, plan, sensor, Draw(spp), seed, given, image)
         return image.numpy().astype(np.float64).reshape(-1), samples
     sums = GradientSums(scene, names)
     if not shadow:
-        interior_backward(scene, plan, sensor, spp, seed, given, sums)
+        interior_backward(scene, plan, sensor, Draw(spp), seed, given, sums)
     launch_backward(scene, terms, given, sums)
     flat = sums.result().numpy().astype(np.float64)
     parameters = [scene.parameters[n] for n in names]

@@ -1,0 +1,362 @@
+"""What runs a pool's jobs: any ``concurrent.futures.Executor``, or Dask. Each mends what it can of lost processes.
+
+A batch of jobs that belong together is a *tree*: their results are merged pairwise, neighbours first, whichever comes
+first. Its root is a ``concurrent.futures.Future``.
+"""
+
+from __future__ import annotations
+
+import functools
+import os
+import signal
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+from warp_psdr import workers
+from warp_psdr.distributed.jobs import KEPT_BYTES, Done, Missing, merge
+from warp_psdr.distributed.wire import Parcel, Store
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+#: Data up to this size goes with every job that needs it; larger data goes to a process once.
+SMALL = 1 << 16
+#: Data from this size on is copied between Dask's workers; it has to be sent anew if all that have it are lost.
+LARGE = 8 << 20
+#: Arguments by which ``signal.signal`` ignores Ctrl-C.
+IGNORED = (signal.SIGINT, signal.SIG_IGN)
+#: Times that a job is sent again after its process was lost, without any other having been done meanwhile.
+LOSSES = 5
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job: ``function(*arguments, {digest: data})``.
+
+    Attributes:
+        function: of ``jobs.py``.
+        arguments: all but its data.
+        parcels: what it needs.
+    """
+
+    function: Callable[..., Done | Missing]
+    arguments: tuple[Any, ...]
+    parcels: tuple[Parcel, ...]
+
+
+@dataclass
+class Traffic:
+    """What a pool has sent and received.
+
+    Attributes:
+        jobs: that were done.
+        sent: bytes of data, at least: Dask may copy it from worker to worker.
+        received: bytes of results.
+        lost: times that a job was sent again since its process was lost.
+        seconds: that the jobs ran, all processes together.
+    """
+
+    jobs: int = 0
+    sent: int = 0
+    received: int = 0
+    lost: int = 0
+    seconds: float = 0.0
+
+
+@dataclass
+class Pending:
+    """A tree whose jobs run.
+
+    Attributes:
+        root: its merged result.
+        jobs: the engine's futures.
+    """
+
+    root: Future[Done]
+    jobs: list[Any] = field(default_factory=list)
+
+    def cancel(self) -> None:
+        """Take back the jobs that have not begun, and wait for none."""
+        _fail(self.root, CancelledError())
+        for job in list(self.jobs):
+            if not job.done():
+                job.cancel()
+
+
+class Engine(Protocol):
+    """Runs jobs."""
+
+    traffic: Traffic
+
+    @property
+    def processes(self) -> int:
+        """How many jobs run at a time."""
+
+    def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
+        """Run jobs, a power of two, and return what gives the merged result; ``told`` is called as each is done."""
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Run any function once, and not again if its process is lost."""
+
+    def close(self) -> None:
+        """Let go of what the engine has made itself."""
+
+
+class _Tree:
+    """Merges results pairwise by their numbers, as they come."""
+
+    def __init__(self, count: int, root: Future):
+        self._count, self._root = count, root
+        self._nodes: dict[tuple[int, int], Done] = {}
+        self._lock = threading.Lock()
+
+    def add(self, number: int, done: Done) -> None:
+        """Add a leaf; the root is set with the last one."""
+        width = 1
+        while width < self._count:
+            with self._lock:
+                other = self._nodes.pop((width, number ^ width), None)
+                if other is None:
+                    self._nodes[width, number] = done
+                    return
+            done = merge(done, other) if number < number ^ width else merge(other, done)
+            number &= ~width
+            width *= 2
+        if not self._root.done():
+            self._root.set_result(done)
+
+
+class Processes:
+    """Jobs on an executor; what is not known to a process is sent when it says so.
+
+    Args:
+        executor: of ``concurrent.futures``, or one like it; None: a ``ProcessPoolExecutor`` of its own.
+        count: processes of that.
+    """
+
+    def __init__(self, executor: Executor | None, count: int | None):
+        self._own = executor is None
+        #: Whether the processes share this machine's cores.
+        self.here = executor is None or isinstance(executor, ProcessPoolExecutor)
+        self._executor: Executor = _processes(count) if executor is None else executor
+        self.processes = int(getattr(self._executor, "_max_workers", 0) or os.cpu_count() or 1)
+        self.traffic = Traffic()
+        self._times_sent: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self._losses = 0
+
+    def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
+        """Run jobs; as of ``Engine``."""
+        root: Future[Done] = Future()
+        root.set_running_or_notify_cancel()
+        pending, tree = Pending(root), _Tree(len(jobs), root)
+        for number, job in enumerate(jobs):
+            self._submit(job, functools.partial(self._arrived, tree, pending, number, job, told), pending, ())
+        return pending
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Run any function; as of ``Engine``."""
+        return self._executor.submit(function, *arguments)
+
+    def close(self) -> None:
+        """End the executor if it is the engine's own."""
+        if self._own:
+            self._executor.shutdown(wait=True, cancel_futures=True)
+
+    def _submit(
+        self, job: Job, arrived: Callable[[Executor, Future], None], pending: Pending, missing: tuple[str, ...]
+    ) -> None:
+        data: dict[str, bytes | None] = {}
+        for parcel in job.parcels:
+            times = self._times_sent.get(parcel.digest, 0)
+            send = len(parcel.data) <= SMALL or times < self.processes or parcel.digest in missing
+            data[parcel.digest] = parcel.data if send else None
+            self._times_sent[parcel.digest] = times + send
+            self.traffic.sent += len(parcel.data) * send
+        with self._lock:
+            executor = self._executor
+            try:
+                future = executor.submit(job.function, *job.arguments, data)
+            except BrokenExecutor:
+                executor = self._renewed(executor)
+                future = executor.submit(job.function, *job.arguments, data)
+        pending.jobs.append(future)
+        future.add_done_callback(functools.partial(arrived, executor))
+
+    def _arrived(
+        self,
+        tree: _Tree,
+        pending: Pending,
+        number: int,
+        job: Job,
+        told: Callable[[], None],
+        executor: Executor,
+        future: Future,
+    ) -> None:
+        """Take a job's result, on a thread of the executor; send it again if its data or its process is missing."""
+        again = functools.partial(self._arrived, tree, pending, number, job, told)
+        if pending.root.done():
+            return
+        try:
+            result = future.result()
+            if isinstance(result, Missing):
+                self._submit(job, again, pending, result.digests)
+                return
+            self._losses = 0
+            self.traffic.jobs += 1
+            self.traffic.received += result.nbytes
+            self.traffic.seconds += result.seconds
+            told()
+            tree.add(number, result)
+        except BrokenExecutor as error:
+            try:
+                self._lost(executor, error)
+                self._submit(job, again, pending, ())
+            except Exception as problem:
+                _fail(pending.root, problem)
+        except (Exception, CancelledError) as error:
+            _fail(pending.root, error)
+
+    def _lost(self, executor: Executor, error: BrokenExecutor) -> None:
+        """Mend an executor that has lost a process.
+
+        Raises:
+            BrokenExecutor: it was lost again and again, or cannot be mended.
+        """
+        with self._lock:
+            self.traffic.lost += 1
+            if self._executor is executor:
+                self._losses += 1
+                if self._losses > LOSSES:
+                    raise error
+                self._renewed(executor)
+
+    def _renewed(self, executor: Executor) -> Executor:
+        """Put a new executor in place of one whose process died, which takes no more jobs."""
+        if self._executor is not executor:
+            return self._executor
+        if not isinstance(executor, ProcessPoolExecutor):
+            raise BrokenExecutor(
+                f"{type(executor).__name__} has lost a process and takes no more jobs; make a new pool"
+            )
+        if self._own:
+            executor.shutdown(wait=False)
+        self._own = True
+        context = executor._mp_context
+        self._executor = ProcessPoolExecutor(self.processes, context, executor._initializer, executor._initargs)
+        self._times_sent.clear()
+        return self._executor
+
+
+def _processes(count: int | None) -> ProcessPoolExecutor:
+    """Return processes that leave Ctrl-C to this one."""
+    return ProcessPoolExecutor(count or workers.workers(), initializer=signal.signal, initargs=IGNORED)
+
+
+def _fail(root: Future, error: BaseException) -> None:
+    if not root.done():
+        root.set_exception(error)
+
+
+class Dask:
+    """Jobs on the workers of a Dask cluster, which also merge results; Dask runs again what a lost worker had.
+
+    Args:
+        client: connected to its scheduler.
+    """
+
+    def __init__(self, client: Client):
+        self._client = client
+        self.traffic = Traffic()
+        self._parcels = Store(KEPT_BYTES)
+
+    @property
+    def processes(self) -> int:
+        """The workers that are there now."""
+        return max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+
+    def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
+        """Run jobs; as of ``Engine``."""
+        root: Future[Done] = Future()
+        root.set_running_or_notify_cancel()
+        pending = Pending(root)
+        self._grow(jobs, told, pending, LOSSES)
+        return pending
+
+    def _grow(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int) -> None:
+        """Send all jobs of a tree."""
+        level = []
+        for job in jobs:
+            data = [self._parcel(parcel) for parcel in job.parcels]
+            digests = tuple(parcel.digest for parcel in job.parcels)
+            leaf = self._client.submit(_run, job.function, job.arguments, digests, data, pure=False)
+            leaf.add_done_callback(functools.partial(_told, told))
+            pending.jobs.append(leaf)
+            level.append(leaf)
+        while len(level) > 1:
+            pairs = zip(level[::2], level[1::2], strict=True)
+            level = [self._client.submit(merge, a, b, pure=False) for a, b in pairs]
+        pending.jobs.append(level[0])
+        level[0].add_done_callback(functools.partial(self._arrived, jobs, told, pending, more))
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Run any function; as of ``Engine``."""
+        return self._client.get_executor(pure=False).submit(function, *arguments)
+
+    def close(self) -> None:
+        """Let go of the data on the workers."""
+        self._parcels = Store(KEPT_BYTES)
+
+    def _parcel(self, parcel: Parcel) -> Any:
+        if parcel.digest in self._parcels:
+            return self._parcels.get(parcel.digest)
+        if len(parcel.data) <= LARGE:
+            future = self._client.submit(_given, parcel.data, pure=False)
+        else:
+            future = self._client.scatter([parcel.data], broadcast=True, hash=False)[0]
+        self._parcels.put(parcel.digest, future, len(parcel.data))
+        self.traffic.sent += len(parcel.data)
+        return future
+
+    def _arrived(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int, future: Any) -> None:
+        """Take a tree's result, on a thread of Dask's; send all of it again if Dask has given it up."""
+        from distributed.client import FutureCancelledError
+        from distributed.scheduler import KilledWorker
+
+        if pending.root.done():
+            return
+        try:
+            done = future.result()
+        except (KilledWorker, FutureCancelledError) as error:
+            if not more or self._client.status != "running":
+                _fail(pending.root, error)
+                return
+            self.traffic.lost += 1
+            self.close()
+            threading.Thread(target=self._grow, args=(jobs, told, pending, more - 1)).start()
+            return
+        except BaseException as error:
+            _fail(pending.root, error)
+            return
+        self.traffic.jobs += len(jobs)
+        self.traffic.received += done.nbytes
+        self.traffic.seconds += done.seconds
+        pending.root.set_result(done)
+
+
+def _run(function: Callable[..., Done], arguments: tuple, digests: tuple[str, ...], data: list[bytes]) -> Done:
+    """Run a job on a worker of Dask, which has all its data."""
+    return function(*arguments, dict(zip(digests, data, strict=True)))
+
+
+def _given(data: bytes) -> bytes:
+    """Return data: a task that any worker can run again if the one that had the data is lost."""
+    return data
+
+
+def _told(told: Callable[[], None], future: Any) -> None:
+    if future.status == "finished":
+        told()

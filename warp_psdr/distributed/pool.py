@@ -1,0 +1,445 @@
+"""A pool of processes that render shares of a call, views of a fit, or fits: with the bits of one process.
+
+Derivation: ``docs/cluster.md``.
+"""
+
+from __future__ import annotations
+
+import math
+import weakref
+from collections.abc import Callable, Sequence
+from concurrent.futures import CancelledError, Executor
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import warp as wp
+
+from warp_psdr import workers
+from warp_psdr.device import launch
+from warp_psdr.distributed import jobs
+from warp_psdr.distributed.engines import Dask, Engine, Job, Pending, Processes
+from warp_psdr.distributed.values import changed
+from warp_psdr.distributed.wire import Parcel, parcel, unpack
+from warp_psdr.estimate import calls, choice
+from warp_psdr.estimate.arguments import (
+    adjoint_array,
+    checked_seed,
+    flat,
+    flat_tangents,
+    requested,
+    sample_count,
+)
+from warp_psdr.estimate.views import assembled, count_of_views, of_one, shape_of_views
+from warp_psdr.image import Image
+from warp_psdr.invalid import warns
+from warp_psdr.kernels.reduction import add_range
+from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.integrator import Integrator, PathIntegrator
+from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.plan import Plan, decide
+from warp_psdr.plan.transient import shape_of
+from warp_psdr.scene.description import Sensor
+from warp_psdr.scene.loaded import check_loaded
+from warp_psdr.scene.parameters import check_owner
+from warp_psdr.topology import contacts
+from warp_psdr.workers import Share
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from warp_psdr.scene.edits import State
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+#: Shares of a call for every process: more balance better, each costs some milliseconds.
+SHARES_PER_PROCESS = 4
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a pool has done; ``str`` is a table.
+
+    Attributes:
+        processes: of the pool.
+        jobs: that were done.
+        sent: bytes of scenes, values, adjoints and targets.
+        received: bytes of images and gradients.
+        lost: times that jobs were sent again since a process was lost.
+        seconds: that the jobs ran, all processes together.
+    """
+
+    processes: int
+    jobs: int
+    sent: int
+    received: int
+    lost: int
+    seconds: float
+
+    def __str__(self) -> str:
+        rows = (
+            ("processes", f"{self.processes}"),
+            ("jobs", f"{self.jobs}, {self.seconds:.1f} s together"),
+            ("sent", f"{self.sent / 1e6:.2f} MB"),
+            ("received", f"{self.received / 1e6:.2f} MB"),
+            ("sent again", f"{self.lost}"),
+        )
+        return "\n".join(f"{name:<10} {value}" for name, value in rows)
+
+
+class Pool:
+    """Processes that share the work of calls, with the bits of a call in this process.
+
+    Args:
+        engine: what runs the jobs: a ``dask.distributed.Client``, any ``concurrent.futures.Executor`` of processes
+            (``mpi4py.futures`` has one), or "local" for processes on this machine.
+        processes: of "local"; default: one for every core.
+        threads: of every job; default: of "local" and of a ``ProcessPoolExecutor`` the cores of this machine over the
+            processes, elsewhere what a process has.
+
+    Raises:
+        ValueError: another engine, or a number of processes for an engine that has its own.
+        TypeError: an executor of threads, which would share a scene.
+    """
+
+    def __init__(
+        self, engine: Client | Executor | str = "local", *, processes: int | None = None, threads: int | None = None
+    ):
+        self._engine = _engine(engine, processes)
+        if threads is None and isinstance(self._engine, Processes) and self._engine.here:
+            threads = max(workers.workers() // self._engine.processes, 1)
+        self._threads = threads
+        self._bases: weakref.WeakKeyDictionary[Scene, tuple[State, Parcel]] = weakref.WeakKeyDictionary()
+        self._closed = False
+
+    def __enter__(self) -> Pool:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """End the processes that the pool has started; a client or executor that it was given stays open."""
+        if not self._closed:
+            self._closed = True
+            self._engine.close()
+
+    @property
+    def report(self) -> Report:
+        """What was done so far."""
+        traffic = self._engine.traffic
+        return Report(
+            self._engine.processes, traffic.jobs, traffic.sent, traffic.received, traffic.lost, traffic.seconds
+        )
+
+    @warns
+    def render(
+        self,
+        scene: Scene,
+        params: Parameters | None = None,
+        *,
+        sensor: Sensor = 0,
+        integrator: Integrator | None = None,
+        spp: int | None = None,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> Image:
+        """Render an image, as ``psdr.render`` does, with its bits.
+
+        Args:
+            scene: a loaded scene; its values go to the processes, once.
+            params: its parameters; not needed.
+            sensor: which camera; of a ``batch`` all its cameras; several in a list.
+            integrator: as of ``psdr.render``.
+            spp: samples a pixel; default: the sensor's sample count.
+            seed: of the call.
+            progress: called with the finished fraction of the jobs.
+
+        Returns:
+            As ``psdr.render``.
+
+        Raises:
+            ValueError: as ``psdr.render``, or the pool is closed.
+            JobError: a job failed.
+        """
+        self._check(scene, params)
+        views = scene.description.views(sensor)
+        path, seed = integrator_of(scene, integrator), checked_seed(seed)
+        spp = count_of_views(scene, views, spp) if views.several else spp
+        started = []
+        told = _Fractions(progress)
+        for number in views.sensors:
+            call = calls.ImageCall(scene, decide(scene, integrator=path, sensor=number), number, seed)
+            started.append((call, self._start(call, path, sample_count(scene, number, spp), len(views.sensors), told)))
+        images = dict(zip(views.sensors, (c.finish(p) for c, p in self._finished(scene, started)), strict=True))
+        if not views.several:
+            return images[views.sensors[0]]
+        return assembled(scene, views, lambda number, _told: images[number], None)
+
+    @warns
+    def render_backward(
+        self,
+        scene: Scene,
+        params: Parameters,
+        adjoint,
+        *,
+        sensor: Sensor = 0,
+        integrator: Integrator | None = None,
+        spp: int | None = None,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> dict[str, np.ndarray]:
+        """Return the gradient of ``sum(adjoint * image)``, and add it to ``params[name].grad``.
+
+        The bits are those of ``psdr.render_backward``.
+
+        Args:
+            scene: a loaded scene.
+            params: its parameters, after ``requires_grad``.
+            adjoint: as of ``psdr.render_backward``.
+            sensor: which camera; of a ``batch`` all its cameras; several in a list.
+            integrator: as of ``psdr.render``; a pool does not guide, of its own accord or otherwise.
+            spp: samples a pixel; default: the sensor's sample count.
+            seed: of the call.
+            progress: called with the finished fraction of the jobs.
+
+        Returns:
+            The gradient that this call has added, by name, float32, in the parameters' NumPy shapes.
+
+        Raises:
+            ValueError: as ``psdr.render_backward``, the pool is closed, or the boundary term is guided.
+            JobError: a job failed.
+        """
+        self._check(scene, params)
+        views = scene.description.views(sensor)
+        path, names, seed = integrator_of(scene, integrator), requested(scene, params), checked_seed(seed)
+        spp = count_of_views(scene, views, spp) if views.several else spp
+        whole = shape_of_views(scene, views) if views.several else shape_of(scene, views.sensors[0])
+        adjoints = adjoint_array(adjoint, whole, scene.device)
+        width = whole[-1] // len(views.sensors)
+        started = []
+        told = _Fractions(progress)
+        for i, number in enumerate(views.sensors):
+            own = adjoints
+            if views.several:
+                place = i if views.batch is None else i * width
+                own = adjoint_array(
+                    of_one(scene, views, adjoints.numpy(), place), shape_of(scene, number), scene.device
+                )
+            plan = decide(scene, params, integrator=path, sensor=number)
+            count = sample_count(scene, number, spp)
+            call = self._derivative(scene, plan, path, names, "reverse", number, count, seed, flat(own))
+            started.append((call, self._start(call, path, count, len(views.sensors), told)))
+        gradient = {name: np.zeros(scene.parameters[name].numpy_shape, np.float32) for name in names}
+        for call, parts in self._finished(scene, started):
+            total = call.gradient(parts)
+            for name in names:
+                p = scene.parameters[name]
+                gradient[name] += total.numpy()[p.offset : p.offset + p.size].reshape(p.numpy_shape)
+                view = params[name].grad
+                into = wp.array(ptr=view.ptr, dtype=wp.float32, shape=(p.size,), device=scene.device, copy=False)
+                launch(add_range, dim=p.size, inputs=[total, p.offset], outputs=[into], device=scene.device)
+        return gradient
+
+    @warns
+    def render_forward(
+        self,
+        scene: Scene,
+        params: Parameters,
+        tangents: dict,
+        *,
+        sensor: Sensor = 0,
+        integrator: Integrator | None = None,
+        spp: int | None = None,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> Image:
+        """Render the derivative of the image along a direction, as ``psdr.render_forward`` does, with its bits.
+
+        Args:
+            scene: a loaded scene.
+            params: its parameters.
+            tangents: as of ``psdr.render_forward``.
+            sensor: which camera; of a ``batch`` all its cameras; several in a list.
+            integrator: as of ``psdr.render``; a pool does not guide, of its own accord or otherwise.
+            spp: samples a pixel; default: the sensor's sample count.
+            seed: of the call.
+            progress: called with the finished fraction of the jobs.
+
+        Returns:
+            As ``psdr.render_forward``.
+
+        Raises:
+            ValueError: as ``psdr.render_forward``, the pool is closed, or the boundary term is guided.
+            JobError: a job failed.
+        """
+        self._check(scene, params)
+        if not tangents:
+            raise ValueError("render_forward needs at least one tangent: {'parameter name': direction}")
+        views = scene.description.views(sensor)
+        path, names, seed = integrator_of(scene, integrator), list(tangents), checked_seed(seed)
+        spp = count_of_views(scene, views, spp) if views.several else spp
+        target = flat_tangents(scene, params, tangents)
+        started = []
+        told = _Fractions(progress)
+        for number in views.sensors:
+            plan = decide(scene, integrator=path, sensor=number, names=names)
+            if plan.boundary is not None:
+                contacts.warn(scene, target.numpy())
+            count = sample_count(scene, number, spp)
+            call = self._derivative(scene, plan, path, names, "forward", number, count, seed, target)
+            started.append((call, self._start(call, path, count, len(views.sensors), told)))
+        images = dict(zip(views.sensors, (c.image(p) for c, p in self._finished(scene, started)), strict=True))
+        if not views.several:
+            return images[views.sensors[0]]
+        return assembled(scene, views, lambda number, _told: images[number], None, signed=True)
+
+    # -- jobs ------------------------------------------------------------------------------------------------------
+
+    def setting(self) -> jobs.Setting:
+        """Return what this pool's processes have to agree about."""
+        return jobs.Setting.here(self._threads)
+
+    def parcels_of(self, scene: Scene) -> tuple[Parcel, Parcel]:
+        """Return a scene as the pool first saw it, and what has changed since."""
+        if scene not in self._bases:
+            self._bases[scene] = (scene.state(), parcel(scene))
+        base, whole = self._bases[scene]
+        return whole, parcel(changed(base, scene))
+
+    def run(self, job: Job, told: Callable[[], None]) -> Pending:
+        """Run one job."""
+        return self._engine.tree([job], told)
+
+    def wait(self, started: Sequence[Pending]) -> list[jobs.Done]:
+        """Return the results of jobs; an error, or Ctrl-C, takes back those that have not begun."""
+        try:
+            return [pending.root.result() for pending in started]
+        except BaseException as error:
+            for pending in started:
+                pending.cancel()
+            if isinstance(error, CancelledError):
+                raise RuntimeError("the pool's jobs were cancelled: its scheduler or executor has gone") from None
+            raise
+
+    def _check(self, scene: Scene, params: Parameters | None) -> None:
+        if self._closed:
+            raise ValueError("the pool is closed; make another one")
+        check_loaded(scene)
+        if params is not None:
+            check_owner(scene, params)
+
+    def _derivative(
+        self,
+        scene: Scene,
+        plan: Plan,
+        integrator: PathIntegrator,
+        names: list[str],
+        role: str,
+        sensor: int,
+        spp: int,
+        seed: int,
+        given: wp.array,
+    ) -> calls.DerivativeCall:
+        """Return a call with what depends on the calls before it chosen here, once."""
+        refuse_guiding(integrator)
+        plan = choice.choose(scene, plan, names, role, sensor, spp, seed, given)
+        return calls.DerivativeCall(scene, plan, names, role, sensor, spp, seed, given, [])
+
+    def _start(
+        self,
+        call: calls.ImageCall | calls.DerivativeCall,
+        integrator: PathIntegrator,
+        spp: int,
+        sensors: int,
+        told: _Fractions,
+    ) -> Pending:
+        """Send the shares of a call."""
+        whole, change = self.parcels_of(call.scene)
+        parcels, role, derivative, given = [whole, change], "image", None, ""
+        if isinstance(call, calls.DerivativeCall):
+            role = call.role
+            derivative = jobs.Derivative(tuple(call.names), choice.taken(call.scene, call.plan, call.names))
+            parcels.append(parcel(call.given.numpy()))
+            given = parcels[-1].digest
+        told_to = jobs.Call(
+            role, whole.digest, change.digest, call.sensor, integrator, spp, call.seed, derivative, given
+        )
+        count = shares(self._engine.processes, sensors)
+        setting = self.setting()
+        sent = [Job(jobs.share, (setting, told_to, Share(n, count)), tuple(parcels)) for n in range(count)]
+        return self._engine.tree(sent, told.expect(count))
+
+    def _finished(self, scene: Scene, started: list[tuple[Any, Pending]]):
+        """Yield every call with what its shares add up to, and count the samples that they dropped."""
+        for done, (call, _pending) in zip(self.wait([p for _call, p in started]), started, strict=True):
+            count(scene, done)
+            yield call, {kind: on_device(unpack(part), scene) for kind, part in done.parts.items()}
+
+
+class _Fractions:
+    """Tells the finished fraction of jobs that are sent one after the other."""
+
+    def __init__(self, progress: Callable[[float], None] | None):
+        self._progress, self._done, self._all = progress, 0, 0
+
+    def expect(self, jobs: int) -> Callable[[], None]:
+        """Return what is called as each of so many more jobs is done."""
+        self._all += jobs
+        return self._told
+
+    def _told(self) -> None:
+        self._done += 1
+        if self._progress is not None:
+            self._progress(min(self._done / self._all, 1.0))
+
+
+def shares(processes: int, calls: int) -> int:
+    """Return into how many shares each of some calls is split, a power of two; results do not depend on it."""
+    wanted = max(math.ceil(SHARES_PER_PROCESS * processes / calls), 1)
+    return min(workers.below(2 * wanted - 1), workers.SHARDS)
+
+
+def refuse_guiding(integrator: PathIntegrator) -> None:
+    """Refuse a guided boundary term, whose structures keep what earlier gradients have found.
+
+    Raises:
+        ValueError: the integrator names a guiding method.
+    """
+    guiding = getattr(integrator.boundary, "guiding", None)
+    if guiding is not None:
+        raise ValueError(
+            f"boundary: {type(guiding).__name__} keeps a structure from one gradient to the next, which processes of a "
+            f"pool do not share; say PathIntegrator(boundary={PathSpace.__name__}()), or call psdr.render_backward"
+        )
+
+
+def count(scene: Scene, done: jobs.Done) -> None:
+    """Count what the jobs drew and dropped as this scene's."""
+    for kind, found in done.invalid.items():
+        scene.invalid.add(kind, found.samples, found.invalid, found.first)
+
+
+def on_device(values: np.ndarray, scene: Scene) -> Any:
+    """Return sums as kernels take them: films and images as vectors, gradients as they are."""
+    if values.ndim == 1:
+        return values
+    scalar = wp.float64 if values.dtype == np.float64 else wp.float32
+    return wp.array(values, dtype=wp.types.vector(values.shape[-1], scalar), device=scene.device)
+
+
+def _engine(engine: Any, processes: int | None) -> Engine:
+    if isinstance(engine, Executor):
+        if processes is not None:
+            raise ValueError("processes: an executor has its own; leave them out")
+        return Processes(engine, None)
+    if engine == "local":
+        return Processes(None, processes)
+    if type(engine).__module__.partition(".")[0] == "distributed":
+        if processes is not None:
+            raise ValueError("processes: Dask's cluster has its own; leave them out")
+        return Dask(engine)
+    raise ValueError(
+        f"engine: got {engine!r}, expected a dask.distributed.Client (pip install 'warp-psdr[cluster]'), a "
+        "concurrent.futures.Executor, or 'local'"
+    )
