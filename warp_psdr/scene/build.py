@@ -182,7 +182,8 @@ class Builder:
             # The kernels read both from the offset of the pose (``kernels/primitive/sdfgrid.py``).
             nodes = s.grid.values.shape
             self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
-            self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
+            offset = self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
+            self.layout.hold(s.grid, "values", offset)
             self.layout.add_values(walk_values(s.grid.values, s.grid.cubic))
         if s.network is not None:
             add_network(self.layout, s, number)

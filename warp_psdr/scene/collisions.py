@@ -38,7 +38,7 @@ def null_collisions(
     bound = factor * float(values.max()) * min(float(lengths.sum()), extent)
     if bound <= enough:  # nothing more has to be looked at
         return bound
-    spread = pooled(values.max(axis=3), wrap).astype(np.float64) + pooled(-values.min(axis=3), wrap)
+    spread = pooled(values, wrap).max(axis=3).astype(np.float64) - pooled(values, wrap, np.minimum).min(axis=3)
     along = 0.0
     for axis, length in enumerate(lengths):
         count = values.shape[axis]

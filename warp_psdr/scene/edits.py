@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +55,8 @@ def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
 
 #: Stretches of values that lie closer to each other are one: a call costs as much as a thousand numbers.
 NEAR = 1024
+#: Numbers of large arrays that are looked at together.
+PART = 1 << 22
 
 
 class Edits:
@@ -104,5 +106,25 @@ def _merged(ranges: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
 
 
 def checksum(array: wp.array) -> int:
-    """Return the CRC-32 of an array."""
-    return zlib.crc32(array.numpy())
+    """Return the CRC-32 of an array; of a large one, parts come to the host one after the other."""
+    if array.size <= PART:
+        return zlib.crc32(array.numpy())
+    flat, found = array.flatten(), 0
+    for part in _parts(array.size):
+        found = zlib.crc32(flat[part].numpy(), found)
+    return found
+
+
+def write_parts(values: wp.array, held: np.ndarray, new: np.ndarray) -> None:
+    """Write the parts of a flat array that differ in any bit; ``held``: the array on the host.
+
+    Pages of other parts stay common to the scene and its description (``pages``).
+    """
+    for part in _parts(new.size):
+        if not np.array_equal(held[part].view(np.int32), new[part].view(np.int32)):
+            values[part].assign(new[part])
+
+
+def _parts(size: int) -> Iterator[slice]:
+    """Return the parts of an array."""
+    return (slice(first, min(first + PART, size)) for first in range(0, size, PART))

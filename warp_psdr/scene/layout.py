@@ -61,8 +61,20 @@ class Parameter:
 
     def view(self, flat: wp.array) -> wp.array:
         """Return this parameter's stretch of a flat float32 array as an array of its own shape; no copy."""
-        stretch = flat[self.offset : self.offset + self.size]
+        return self.shaped(flat[self.offset : self.offset + self.size])
+
+    def shaped(self, stretch: wp.array) -> wp.array:
+        """View this parameter's numbers, flat float32, as an array of its own shape; no copy."""
         return stretch.reshape(self.numpy_shape).view(self.dtype)
+
+
+@dataclass(frozen=True)
+class Held:
+    """An array that a field of the description holds, too."""
+
+    holder: object
+    field: str
+    offset: int  #: flat
 
 
 class Layout:
@@ -70,6 +82,7 @@ class Layout:
 
     def __init__(self):
         self.parameters: dict[str, Parameter] = {}
+        self.held: list[Held] = []
         self._chunks: list[np.ndarray] = []
         self._size = 0
 
@@ -120,9 +133,14 @@ class Layout:
         shape = tuple(numpy_shape) if dtype is wp.float32 else tuple(numpy_shape[:-1])
         self.parameters[name] = Parameter(name, offset, shape, dtype, bounds, {use}, owner)
 
-    def values(self) -> np.ndarray:
-        """Return the flat array."""
-        return np.concatenate(self._chunks) if self._chunks else np.zeros(1, np.float32)
+    def hold(self, holder: object, field: str, offset: int) -> None:
+        """Note which field of the description holds the values that were added at an offset."""
+        self.held.append(Held(holder, field, offset))
+
+    def release(self) -> list[np.ndarray]:
+        """Return the parts of the flat array in their order, and forget them."""
+        released, self._chunks, self.held = self._chunks, [], []
+        return released
 
 
 def struct_array(struct, records: list, device) -> wp.array:

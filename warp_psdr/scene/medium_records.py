@@ -99,7 +99,7 @@ class MediaRecords:
         add, record = self._layout.add, Medium()
         for coefficient, high in ((m.sigma_t, np.inf), (m.albedo, 1.0)):
             kind = ALBEDO if coefficient is m.albedo else SIGMA_T
-            place = add(coefficient.parameter, coefficient.value, MEDIUM + kind, bounds=(0.0, high))
+            place = self._values(coefficient, MEDIUM + kind, (0.0, high))
             channels = coefficient.value.size
             placed = m.grids or coefficient.value.ndim == 4
             if coefficient.value.ndim == 4 or (kind == SIGMA_T and m.tracked):
@@ -109,7 +109,7 @@ class MediaRecords:
         record.scale = add(f"{m.path}.scale", np.array([m.scale]), MEDIUM + SCALE, bounds=(0.0, np.inf))
         record.emission = -1
         if m.emission is not None:
-            place = add(m.emission.parameter, m.emission.value, MEDIUM + EMISSION, bounds=(0.0, np.inf))
+            place = self._values(m.emission, MEDIUM + EMISSION, (0.0, np.inf))
             channels = m.emission.value.size
             if m.emission.value.ndim == 4:
                 place, channels = self._grid(m.emission, place), GRID
@@ -166,7 +166,7 @@ class MediaRecords:
         assert p.weight is not None
         record, weight = Texture(), p.weight
         record.kind = c.TEXTURE_GRID
-        place = self._layout.add(weight.parameter, weight.value, MEDIUM + PHASE, bounds=(0.0, 1.0))
+        place = self._values(weight, MEDIUM + PHASE, (0.0, 1.0))
         # In place of a number's flat offset, the number of a grid.
         record.offset = self._grid(weight, place, placed=False) if weight.value.ndim == 4 else place
         (record.width, record.first), (record.height, record.second) = (self._phase(inner) for inner in p.nested)
@@ -177,7 +177,7 @@ class MediaRecords:
 
     def _flakes(self, v: VolumeDescription, vary: bool) -> int:
         """Return the flat offset of the matrix of microflakes, or the number of the record of a grid of them."""
-        place, most = self._layout.add(v.parameter, v.value, MEDIUM + PHASE), -1
+        place, most = self._values(v, MEDIUM + PHASE, (-np.inf, np.inf)), -1
         number = place
         if vary:
             number = self._grid(v, place, placed=False)
@@ -197,6 +197,12 @@ class MediaRecords:
         self._textures.append(record)
         self._texture_ranges.append((record.offset, values.size))
         return len(self._textures) - 1
+
+    def _values(self, v: VolumeDescription, use: str, bounds: tuple[float, float]) -> int:
+        """Lay out the values of a volume; return their flat offset."""
+        offset = self._layout.add(v.parameter, v.value, use, bounds=bounds)
+        self._layout.hold(v, "value", offset)
+        return offset
 
     def _grid(self, v: VolumeDescription, offset: int, *, tracked: bool = False, placed: bool = True) -> int:
         """Return the number of the record of a volume whose values are at a flat offset; a constant is one voxel.

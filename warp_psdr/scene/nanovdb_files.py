@@ -55,10 +55,12 @@ def read_nvdb(file: Path) -> tuple[np.ndarray, np.ndarray]:
     dense = wp.empty(sizes[::-1], dtype=dtype, device="cpu")
     launch(kernel, dense.shape, [volume.id, wp.vec3i(*(int(i) for i in low))], [dense], device="cpu")
     values = dense.numpy().reshape(*dense.shape, channels)
-    held = np.argwhere((values != 0.0).any(axis=3))
-    if len(held) == 0:
+    held = (values != 0.0).any(axis=3)
+    if not held.any():
         raise ValueError(f"'{file.name}' holds nothing but zeros; write a grid with values")
-    first, last = held.min(axis=0), held.max(axis=0) + 1
+    planes = [np.flatnonzero(held.any(axis=tuple({0, 1, 2} - {axis}))) for axis in range(3)]
+    first, last = (np.array([along[end] for along in planes]) for end in (0, -1))
+    last += 1
     values = values[first[0] : last[0], first[1] : last[1], first[2] : last[2]]
     begin, size = low + first[::-1], (last - first)[::-1]
     to_world, box = np.eye(4), np.eye(4)

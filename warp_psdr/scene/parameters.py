@@ -182,7 +182,7 @@ class Parameters(Mapping):
                 "the size of a parameter is fixed when the scene is loaded"
             )
         with np.errstate(over="ignore"):  # what overflows becomes infinite
-            finite = np.isfinite(array.astype(np.float32))
+            finite = np.isfinite(array.astype(np.float32, copy=False))
         if not finite.all():
             raise ValueError(f"{what} of {name!r}: {np.count_nonzero(~finite)} numbers are NaN or infinite")
         return np.ascontiguousarray(array.reshape(p.numpy_shape))

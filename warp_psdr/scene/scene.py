@@ -23,13 +23,14 @@ from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.curves import Trees
 from warp_psdr.scene.derived_values import sum_of_normals
-from warp_psdr.scene.edits import Edits, State, check_media, has_results
+from warp_psdr.scene.edits import Edits, State, check_media, has_results, write_parts
 from warp_psdr.scene.exact import update_record
 from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
 from warp_psdr.scene.network import follow_networks
 from warp_psdr.scene.origin import COLLAPSING
+from warp_psdr.scene.pages import flat_values
 from warp_psdr.scene.poses import Poses
 from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
@@ -98,9 +99,9 @@ class Scene:
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
         self._unmarked = wp.zeros(1, dtype=wp.int32, device=self.device)
         self.parameters: dict[str, Parameter] = builder.layout.parameters
-        self.values = wp.array(builder.layout.values(), dtype=wp.float32, device=self.device)
+        self.values = flat_values(builder.layout, self.device)
         self.origin = description.origin
-        self._world = World(self.values, self.origin)
+        self._world = World(self.values, self.origin, self.parameters.values())
         self._left = False
         self.steps: Steps
         self._boxes: Boxes
@@ -171,7 +172,8 @@ class Scene:
     def __reduce_ex__(self, _protocol: Any):
         """Return what a copy, or another process, makes the same scene of: its description and its values."""
         self.settle()
-        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, self.state())
+        state = State(self.values.numpy(), self.poses.state())
+        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, state)
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -303,7 +305,7 @@ class Scene:
         ]
         self.poses.restore(state.local)
         if changed:
-            self.values.assign(state.values)
+            write_parts(self.values, held, state.values)
             self._world.show(changed)
             self._renew(changed)
 

@@ -79,12 +79,16 @@ def reaches(values: np.ndarray, cubic: bool = False) -> np.ndarray:
         values: of the nodes, (Z, Y, X, 1).
         cubic: they are coefficients of a B-spline.
     """
-    passed = is_passed(values[..., 0], cubic)
+    return _distances(is_passed(values[..., 0], cubic)).astype(np.float32)
+
+
+def _distances(passed: np.ndarray) -> np.ndarray:
+    """Return how many voxels each is away from one that is passed; their number along the longest axis if none is."""
     if not passed.any():
-        return np.full(passed.shape, float(max(passed.shape)), np.float32)
+        return np.full(passed.shape, max(passed.shape), np.int32)
     from scipy.ndimage import distance_transform_cdt
 
-    return distance_transform_cdt(~passed, metric="chessboard").astype(np.float32)
+    return distance_transform_cdt(~passed, metric="chessboard")
 
 
 def walk_values(values: np.ndarray, cubic: bool) -> np.ndarray:
@@ -93,14 +97,15 @@ def walk_values(values: np.ndarray, cubic: bool) -> np.ndarray:
     It holds all voxels that the surface may pass, and their neighbours; nothing, if there are none. Arguments as
     ``reaches``'s.
     """
-    reach = reaches(values, cubic)
-    block = np.zeros((2, 3), np.float32)
-    passed = reach == 0.0
+    passed = is_passed(values[..., 0], cubic)
+    walked = np.zeros(passed.size + 6, np.float32)
+    walked[:-6] = _distances(passed).reshape(-1)
+    block = walked[-6:].reshape(2, 3)
     if passed.any():
         for axis, count in enumerate(passed.shape):
             along = np.nonzero(passed.any(axis=tuple({0, 1, 2} - {axis})))[0]
             block[:, 2 - axis] = max(int(along[0]) - 1, 0), min(int(along[-1]) + 2, count)
-    return np.concatenate([reach.reshape(-1), block.reshape(-1)])
+    return walked
 
 
 def is_passed(values: np.ndarray, cubic: bool = False) -> np.ndarray:
@@ -110,19 +115,24 @@ def is_passed(values: np.ndarray, cubic: bool = False) -> np.ndarray:
     """
     if cubic:
         return _spline_passed(values)
-    inside = values < 0.0
-    corners = [
-        inside[tuple(slice(o, n - 1 + o) for o, n in zip(offset, inside.shape, strict=True))]
-        for offset in itertools.product((0, 1), repeat=3)
-    ]
-    return np.any(corners, axis=0) & ~np.all(corners, axis=0)
+    some = every = values < 0.0
+    for axis in range(3):
+        some, every = (
+            join(ends[_part(axis, 0, -1)], ends[_part(axis, 1, None)])
+            for join, ends in ((np.logical_or, some), (np.logical_and, every))
+        )
+    return some & ~every
+
+
+def _part(axis: int, first: int, stop: int | None) -> tuple[slice, ...]:
+    """Return the index of a part of a grid along one of its axes."""
+    return (slice(None),) * axis + (slice(first, stop),)
 
 
 def spline_values(values: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return the 64 values (N, 4, 4, 4), by z, y, x, around voxels (N, 3), z, y, x; the border's go on behind it."""
-    padded = np.pad(values.astype(np.float64), 1, mode="edge")
-    z, y, x = (corners[:, k, None] + np.arange(4) for k in range(3))
-    return padded[z[:, :, None, None], y[:, None, :, None], x[:, None, None, :]]
+    z, y, x = (np.clip(corners[:, k, None] + np.arange(-1, 3), 0, n - 1) for k, n in enumerate(values.shape))
+    return values[z[:, :, None, None], y[:, None, :, None], x[:, None, None, :]].astype(np.float64)
 
 
 def bezier_values(around: np.ndarray) -> np.ndarray:
@@ -131,14 +141,7 @@ def bezier_values(around: np.ndarray) -> np.ndarray:
 
 
 def _spline_passed(values: np.ndarray) -> np.ndarray:
-    low = high = np.pad(values, 1, mode="edge")
-    for axis in range(3):
-        count = values.shape[axis] - 1
-        low, high = (
-            pick.reduce([np.take(ends, np.arange(o, o + count), axis=axis) for o in range(4)])
-            for pick, ends in ((np.minimum, low), (np.maximum, high))
-        )
-    passed = (low < 0.0) & (high >= 0.0)
+    passed = (_extreme(values, np.minimum) < 0.0) & (_extreme(values, np.maximum) >= 0.0)
     candidates = np.argwhere(passed)
     for start in range(0, len(candidates), CHUNK):
         rows = candidates[start : start + CHUNK]
@@ -147,6 +150,16 @@ def _spline_passed(values: np.ndarray) -> np.ndarray:
         slack = ROUNDING * np.abs(around).max(axis=(1, 2, 3))
         passed[tuple(rows.T)] = (bezier.min(axis=1) < slack) & (bezier.max(axis=1) > -slack)
     return passed
+
+
+def _extreme(values: np.ndarray, pick: np.ufunc) -> np.ndarray:
+    """Return the least, or largest, of the 64 values around each voxel."""
+    for axis in range(3):
+        found = pick(values[_part(axis, 0, -1)], values[_part(axis, 1, None)])
+        for own, other in ((_part(axis, 1, None), _part(axis, 0, -2)), (_part(axis, 0, -1), _part(axis, 2, None))):
+            pick(found[own], values[other], out=found[own])
+        values = found
+    return values
 
 
 def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:

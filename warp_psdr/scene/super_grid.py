@@ -30,19 +30,25 @@ def super_grid(values: np.ndarray, wrap: str) -> np.ndarray:
 
     Interpolation in a cell reads its own voxels, and one more on each side.
     """
-    return (pooled(values.max(axis=3), wrap) * (1.0 + _ROUNDING)).astype(np.float32).reshape(-1)
+    return (pooled(values, wrap).max(axis=3) * (1.0 + _ROUNDING)).astype(np.float32).reshape(-1)
 
 
-def pooled(values: np.ndarray, wrap: str) -> np.ndarray:
-    """Return the largest value in each cell of a grid (Z, Y, X), and in the voxels around it."""
-    most = np.pad(values, 1, mode=_PADDING[wrap])  # type: ignore[call-overload]
+def pooled(values: np.ndarray, wrap: str, largest: np.ufunc = np.maximum) -> np.ndarray:
+    """Return the largest value in each cell of a grid (Z, Y, X, C), and in the voxels around it, of each channel.
+
+    ``largest``: or the least, by ``np.minimum``.
+    """
     for axis in range(3):
-        size = most.shape[axis] - 2
+        size = values.shape[axis]
+        voxels = np.pad(np.arange(size), 1, mode=_PADDING[wrap])  # type: ignore[call-overload]
         starts = np.arange(0, size, CELL)
         ends = np.minimum(starts + CELL, size) + 2
-        cells = [np.take(most, range(a, b), axis=axis).max(axis=axis) for a, b in zip(starts, ends, strict=True)]
-        most = np.stack(cells, axis=axis)
-    return most
+        cells = [
+            largest.reduce(np.take(values, voxels[a:b], axis=axis), axis=axis)
+            for a, b in zip(starts, ends, strict=True)
+        ]
+        values = np.stack(cells, axis=axis)
+    return values
 
 
 @dataclass(frozen=True)

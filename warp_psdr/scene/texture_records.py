@@ -145,6 +145,7 @@ class TextureRecords:
         low, high = bounds
         bounds = (low, max(high, float(t.value.max())))
         record.offset = self._layout.add(t.parameter, t.value, use, bounds=bounds)
+        self._layout.hold(t, "value", record.offset)
         if t.kind == "constant":
             record.kind, record.channels = c.TEXTURE_CONSTANT, t.value.size
         elif t.kind == "volume":

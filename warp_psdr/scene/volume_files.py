@@ -60,7 +60,7 @@ def read_vol(file: Path) -> tuple[np.ndarray, np.ndarray]:
             raise ValueError(
                 f"'{file.name}' has the box {box}; give one whose ends are finite and above its beginnings"
             )
-        values = np.frombuffer(stream.read(4 * count), "<f4").astype(np.float32).reshape(nz, ny, nx, channels)
+        values = np.fromfile(stream, "<f4", count).astype(np.float32, copy=False).reshape(nz, ny, nx, channels)
     matrix = np.eye(4)
     matrix[:3, :3] = np.diag(high - low)
     matrix[:3, 3] = low

@@ -22,17 +22,18 @@ class World:
     Args:
         values: Flat values of the scene; positions and poses in them are relative to ``origin``.
         origin: (3,) float64, world units.
+        parameters: Of the scene.
     """
 
-    def __init__(self, values: wp.array, origin: np.ndarray):
+    def __init__(self, values: wp.array, origin: np.ndarray, parameters: Iterable[Parameter]):
         self._values = values
         self._origin = origin
-        self._world = wp.clone(values) if origin.any() else values
+        self._world = {p.name: wp.clone(self._stretch(p)) for p in parameters if p.placed and origin.any()}
         self._warned = False
 
     def view(self, p: Parameter) -> wp.array:
         """Return a parameter's array: world coordinates of what has a place, else the values themselves."""
-        return p.view(self._world if p.placed else self._values)
+        return p.shaped(self._world.get(p.name, self._stretch(p)))
 
     def place(self, p: Parameter, values: np.ndarray) -> bool:
         """Take new values of a parameter, float32 or float64, which are not rounded before they are made relative.
@@ -41,7 +42,7 @@ class World:
             Whether they differ from the former ones.
         """
         held = self._stretch(p).numpy()
-        stored = values.reshape(-1).astype(np.float32)
+        stored = values.reshape(-1).astype(np.float32, copy=False)
         if p.placed and self._origin.any():
             stored, _ = from_world(values.reshape(-1), held, shift_of(p.numpy_shape, self._origin))
         differs = not np.array_equal(stored, held)
@@ -54,7 +55,7 @@ class World:
         for p in parameters if self._origin.any() else ():
             if p.placed:
                 world = to_world(self._stretch(p).numpy(), shift_of(p.numpy_shape, self._origin))
-                self._world[p.offset : p.offset + p.size].assign(world)
+                self._world[p.name].assign(world)
 
     def take_over(self, p: Parameter, radius: float) -> None:
         """Let the values follow edits of world coordinates in place; warn where float32 is too coarse for that.
@@ -65,7 +66,7 @@ class World:
         """
         if not (p.placed and self._origin.any()):
             return
-        world = self._world[p.offset : p.offset + p.size].numpy()
+        world = self._world[p.name].numpy()
         shift = shift_of(p.numpy_shape, self._origin)
         stored, edited = from_world(world, self._stretch(p).numpy(), shift)
         if not edited.any():
