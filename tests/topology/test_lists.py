@@ -1,13 +1,15 @@
-"""Lists of edges: those of a straightforward search, in stretches of any length."""
+"""Lists of edges: those of a straightforward search, in stretches of any length; and the line about them."""
 
 from collections import defaultdict
 
 import numpy as np
 import pytest
 import trimesh
+import warp as wp
 from scipy.spatial import cKDTree
 
 from warp_psdr import columns
+from warp_psdr.topology import edges as of_edges
 from warp_psdr.topology.edges import adjacency, scene_adjacency, sides_of
 from warp_psdr.topology.film_edges import crease_edges, film_edges, flat_crease_edges, primary_edges
 from warp_psdr.topology.interpolated_normals import bend, terminator_faces
@@ -109,3 +111,18 @@ def test_lists_do_not_depend_on_the_length_of_stretches(monkeypatch, more) -> No
     monkeypatch.setattr(columns, "CHUNK", 37)
     for a, b in zip(whole, lists(faces, 1.5 * vertices, **more), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_a_line_says_that_large_meshes_are_looked_through(monkeypatch, capsys) -> None:
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_INFO)
+    scene_adjacency(scene_with(box=mesh(*cube())))
+    assert capsys.readouterr().err == ""  # small
+    monkeypatch.setattr(of_edges, "SECONDS_A_TRIANGLE", 0.25)
+    scene = scene_with(box=mesh(*cube()))
+    for _ in range(2):
+        scene_adjacency(scene)
+    line = "warp_psdr: listing the edges of 12 triangles (first use; kept until they move), about 3 s\n"
+    assert capsys.readouterr() == ("", line)
+    monkeypatch.setattr(wp.config, "log_level", wp.LOG_WARNING)
+    scene_adjacency(scene_with(box=mesh(*cube())))
+    assert capsys.readouterr() == ("", "")
