@@ -10,6 +10,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, TextIO
 
+import warp as wp
+
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
@@ -67,6 +69,18 @@ def progress(
                 print(f"{said}  {clock.elapsed()}, {clock.left(done)}", file=stream, flush=True)
 
     yield report_line
+
+
+def say(what: str, seconds: float) -> None:
+    """Write a line to standard error about what begins and takes a while.
+
+    Args:
+        what: after "warp_psdr:", as "listing the edges of 1,000,000 triangles".
+        seconds: how long it takes, about. Nothing is written below a second, or where Warp's log level
+            (``wp.config.log_level``) leaves out what is no warning.
+    """
+    if seconds >= 1.0 and wp.config.log_level <= wp.LOG_INFO:
+        print(f"warp_psdr: {what}, about {seconds:.0f} s", file=sys.stderr, flush=True)
 
 
 def draws_bars(stream: TextIO) -> bool:

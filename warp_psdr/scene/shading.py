@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr import columns
+
 if TYPE_CHECKING:
     from warp_psdr.kernels import structs
     from warp_psdr.scene.scene import Scene
@@ -26,18 +28,22 @@ def vertex_normals(scene: Scene) -> Iterator[tuple[structs.Shape, np.ndarray]]:
             yield s, values[first : first + 3 * s.vertex_count].reshape(-1, 3)
 
 
-def normals_at_corners(scene: Scene) -> Iterator[tuple[structs.Shape, np.ndarray, np.ndarray]]:
-    """Yield every shape with interpolated normals, the unit normals of its triangles and the normals at their corners.
+def normals_at_corners(scene: Scene) -> Iterator[tuple[slice, np.ndarray, list[np.ndarray]]]:
+    """Yield the triangles with interpolated normals, in stretches of one shape: which triangles, and their normals.
 
-    Of shapes (faces, 3) and (faces, 3, 3).
+    The normals are by component, (3, faces): the triangles' own, of unit length, and those at their three corners.
     """
-    points = scene.points.astype(np.float64)
+    points = columns.of(scene.points)
     for s, normals in vertex_normals(scene):
-        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
-        p = points[faces]
-        normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-        yield s, normal, normals.astype(np.float64)[faces - s.first_vertex]
+        at = columns.of(normals)
+        end = s.first_face + s.face_count
+        for first in range(s.first_face, end, columns.CHUNK):
+            rows = slice(first, min(first + columns.CHUNK, end))
+            corners = scene.builder.indices[rows].T
+            a, b, c = (columns.take(points, corner) for corner in corners)
+            normal = columns.cross(b - a, c - a)
+            normal /= np.maximum(columns.length(normal), 1e-300)
+            yield rows, normal, [columns.take(at, corner - s.first_vertex) for corner in corners]
 
 
 def shades_flat(scene: Scene) -> bool:
@@ -47,8 +53,9 @@ def shades_flat(scene: Scene) -> bool:
     """
     if sum(s.face_count for s in scene.builder.shapes if s.smooth == 1) > FEW:
         return False
-    for _shape, normal, at in normals_at_corners(scene):
-        unit = at / np.maximum(np.linalg.norm(at, axis=-1, keepdims=True), 1e-300)
-        if not (np.abs(unit - normal[:, None]) <= ROUNDED).all():
-            return False
+    for _rows, normal, at in normals_at_corners(scene):
+        for corner in at:
+            unit = corner / np.maximum(columns.length(corner), 1e-300)
+            if not (np.abs(unit - normal) <= ROUNDED).all():
+                return False
     return True

@@ -74,7 +74,9 @@ class CameraView:
 
     def spread(self, v: np.ndarray) -> np.ndarray:
         """Return the largest change of v . eye over the lens; v has shape (..., 3)."""
-        return self.radius * np.linalg.norm(v @ self.pose[:3, :2], axis=-1)
+        if self.radius == 0.0:
+            return np.zeros(v.shape[:-1])
+        return self.radius * np.linalg.norm(np.ascontiguousarray(v) @ self.pose[:3, :2], axis=-1)
 
     def clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Clip edges to what the film, filter margin included, can see of them.

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import columns
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
+from warp_psdr.progress import say
 from warp_psdr.scene.light_sampling import cumulative
 from warp_psdr.topology.t_junctions import cut_sides
-from warp_psdr.topology.welding import components, still_welded, weld, weld_shapes
+from warp_psdr.topology.welding import components, stable_order, still_welded, weld, weld_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -27,11 +29,13 @@ COPLANAR = 1.0e-4
 NEEDLE = 1.0e-2
 #: Tilt of a needle times its height, in the scene's extent: a few roundings of its corners.
 TILT = 2.5e-7
+#: Seconds that the lists of the edges of a triangle take before its scene's first gradient, all of them together.
+SECONDS_A_TRIANGLE = 4.0e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Adjacency:
-    """All edges of a scene, E of them.
+    """All edges of a scene, E of them, in the order of the groups of their ends, the lower one first.
 
     Attributes:
         ends: (E, 2) global vertices of the first face's side of the edge.
@@ -92,7 +96,8 @@ def adjacency(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray | Non
     points = np.asarray(points, np.float64)
     shape = np.zeros(len(points), int) if shape is None else shape
     far = np.full(len(points), _extent(points))
-    return _measured(points, triangles, _topology(points, triangles, shape, far, _ranks(points)), far)
+    normals = normal_columns(points, triangles)
+    return _measured(points, triangles, normals, _topology(points, triangles, normals, shape, far, _ranks(points)), far)
 
 
 def _extent(points: np.ndarray) -> float:
@@ -106,15 +111,29 @@ def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def area_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return (M, 3): the normals of triangles, as long as twice their areas."""
-    p = points[triangles]
-    return cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    return np.ascontiguousarray(normal_columns(points, triangles).T)
 
 
-def _solid(points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
+def normal_columns(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Return (3, M): the normals of triangles, as long as twice their areas, by component."""
+    p = columns.of(points)
+
+    def normals(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (columns.take(p, corner) for corner in triangles[rows].T)
+        return (columns.cross(b - a, c - a),)
+
+    return columns.in_chunks(normals, len(triangles))[0]
+
+
+def _solid(normals: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
     """Return a mask of the triangles with three positions and an area."""
-    corner = group[triangles]
-    doubled = area_normals(points, triangles)
-    return (corner != corner[:, [1, 2, 0]]).all(axis=1) & (np.abs(doubled).max(axis=1, initial=0.0) > 0.0)
+
+    def solid(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (group.take(corner) for corner in triangles[rows].T)
+        x, y, z = np.abs(normals[:, rows])
+        return ((a != b) & (b != c) & (c != a) & (np.maximum(np.maximum(x, y), z) > 0.0),)
+
+    return columns.in_chunks(solid, len(triangles))[0]
 
 
 def _ranks(points: np.ndarray) -> np.ndarray:
@@ -139,18 +158,27 @@ def _scene_ranks(scene: Scene) -> np.ndarray:
 
 def _numbered(group: np.ndarray, ranks: np.ndarray) -> np.ndarray:
     """Return groups of points numbered in the order of their first ones."""
-    _numbers, first = np.unique(group[np.argsort(ranks)], return_index=True)
-    return np.argsort(np.argsort(first))[group]
+    first = np.full(int(group.max(initial=-1)) + 1, len(group))
+    np.minimum.at(first, group, ranks)
+    starts = np.zeros(len(group) + 1, bool)
+    starts[first] = True
+    return (np.cumsum(starts) - 1)[first][group]
 
 
 def _topology(
-    points: np.ndarray, triangles: np.ndarray, shape: np.ndarray, far: np.ndarray, ranks: np.ndarray
+    points: np.ndarray,
+    triangles: np.ndarray,
+    normals: np.ndarray,
+    shape: np.ndarray,
+    far: np.ndarray,
+    ranks: np.ndarray,
 ) -> Topology:
     """Return what is welded.
 
     Args:
         points: as of ``adjacency``.
         triangles: as of ``adjacency``.
+        normals: as of ``normal_columns``.
         shape: as of ``adjacency``.
         far: (N,) the largest coordinate by which a vertex may have been rounded.
         ranks: (N,) places of the vertices in the order in which edges come.
@@ -160,59 +188,107 @@ def _topology(
         of_shape[shape] = far
         group = weld_shapes(points, shape, WELD * of_shape)
     else:
-        group = weld(points, WELD * _extent(points))
+        order = np.empty_like(ranks)
+        order[ranks] = np.arange(len(ranks))
+        group = weld(points, WELD * _extent(points), order)
     group = _numbered(group, ranks)
-    solid = _solid(points, triangles, group)
+    solid = _solid(normals, triangles, group)
     numbers = np.flatnonzero(solid)
-    sides = np.stack([triangles[numbers][:, [a, (a + 1) % 3]] for a in range(3)], axis=1).reshape(-1, 2)
+    corners = triangles.take(numbers, axis=0)
+    start, end = corners.reshape(-1), corners[:, [1, 2, 0]].reshape(-1)
     face = np.repeat(numbers, 3)
-    whole = len(sides)
-    sides, face = cut_sides(points, group, shape, sides, face, WELD * far[sides[:, 0]])
-    cut = len(sides) > whole
-    key = group[sides]
-    swap = key[:, 0] > key[:, 1]
-    sides[swap], key[swap] = sides[swap][:, ::-1], key[swap][:, ::-1]
-    order = np.lexsort((face, key[:, 1], key[:, 0]))
-    sides, face, key = sides[order], face[order], key[order]
-    new = np.ones(len(key), bool)
-    new[1:] = (key[1:] != key[:-1]).any(axis=1)
-    start = np.flatnonzero(new)
-    first = np.append(start, len(key)).astype(np.int32)
-    second = np.where(np.diff(first) == 2, start + 1, start)
-    ends, twins = sides[start].astype(np.int32), sides[second].astype(np.int32)
-    return Topology(ends, twins, face.astype(np.int32), first, group, solid, cut)
+    order, first = _edges(group.take(start), group.take(end))
+    # Only open sides are cut.
+    lone = np.sort(order[first[:-1][np.diff(first) == 1]])
+    sides = np.stack([start[lone], end[lone]], axis=1)
+    pieces, of = cut_sides(points, group, shape, sides, face[lone], WELD * far[start[lone]])
+    cut = len(pieces) > len(lone)
+    if cut:
+        start, end, face = (
+            np.append(np.delete(x, lone), more) for x, more in ((start, pieces[:, 0]), (end, pieces[:, 1]), (face, of))
+        )
+        by_face = np.argsort(face, kind="stable")
+        start, end, face = start[by_face], end[by_face], face[by_face]
+        order, first = _edges(group[start], group[end])
+
+    def ends(rows: np.ndarray) -> np.ndarray:
+        """Return the vertices of sides, (E, 2) in the order of their groups."""
+        a, b = start.take(rows), end.take(rows)
+        turned = group.take(a) > group.take(b)
+        return np.stack([np.where(turned, b, a), np.where(turned, a, b)], axis=1).astype(np.int32)
+
+    second = np.where(np.diff(first) == 2, first[:-1] + 1, first[:-1])
+    return Topology(
+        ends=ends(order[first[:-1]]),
+        twins=ends(order[second]),
+        faces=face.take(order).astype(np.int32),
+        first=first.astype(np.int32),
+        group=group,
+        solid=solid,
+        cut=cut,
+    )
 
 
-def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.ndarray) -> Adjacency:
+def _edges(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Put sides in the order of the edges that they belong to.
+
+    Args:
+        a: (S,) groups of the vertices where they start.
+        b: (S,) groups of those where they end.
+
+    Returns:
+        (S,) numbers of the sides, by the lower group, the higher one, and number; (E + 1,) where an edge's sides start.
+    """
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    count = int(high.max(initial=-1)) + 1
+    order = stable_order(high, count)
+    order = order[stable_order(low[order], count)]
+    low, high = low[order], high[order]
+    new = np.ones(len(order), bool)
+    new[1:] = (low[1:] != low[:-1]) | (high[1:] != high[:-1])
+    return order, np.append(np.flatnonzero(new), len(order))
+
+
+def _measured(
+    points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, t: Topology, far: np.ndarray
+) -> Adjacency:
     """Return the edges with what depends on where the vertices are."""
-    start, count = t.first[:-1], np.diff(t.first)
-    ends = points[t.ends]
-    along = ends[:, 1] - ends[:, 0]
-    length = np.sqrt((along * along).sum(axis=1))
-    along /= np.maximum(length, 1e-300)[:, None]
-    doubled = area_normals(points, triangles)
-    doubled = np.sqrt((doubled * doubled).sum(axis=1))  # twice the triangles' areas
-    middle = points[triangles[:, 0]] + points[triangles[:, 1]] + points[triangles[:, 2]]
-    middle /= 3.0
+    p = columns.of(points)
+    ends = points.take(t.ends, axis=0)
+    doubled = columns.length(normals)  # twice the triangles' areas
 
-    def across(face: np.ndarray) -> np.ndarray:
-        """Direction from an edge into a face, perpendicular to the edge."""
-        into = middle[face] - ends[:, 0]
-        return into - (into * along).sum(axis=1)[:, None] * along
+    def center(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (columns.take(p, corner) for corner in triangles[rows].T)
+        return ((a + b + c) / 3.0,)
 
-    second = np.where(count == 2, start + 1, start)
-    a, b = across(t.faces[start]), across(t.faces[second])
-    sine = cross(a, b)
-    angle = np.arctan2(np.sqrt((sine * sine).sum(axis=1)), (a * b).sum(axis=1))
-    wedge = np.where(count == 2, np.pi - angle, np.pi)
-    tall = np.minimum(*(doubled[t.faces[i]] for i in (start, second))) / np.maximum(length, 1e-300)
-    tilt = np.where(tall < NEEDLE * length, TILT * far[t.ends[:, 0]] / np.maximum(tall, 1e-300), 0.0)
-    wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
-    return Adjacency(t.ends, t.twins, t.faces, t.first, wedge, length, ends, t.group)
+    (middle,) = columns.in_chunks(center, len(triangles))
+
+    def measure(rows: slice) -> tuple[np.ndarray, np.ndarray]:
+        start, stop = t.first[:-1][rows], t.first[1:][rows]
+        two = stop - start == 2
+        faces = t.faces.take(start), t.faces.take(np.where(two, start + 1, start))
+        begin = columns.of(ends[rows, 0])
+        along = columns.of(ends[rows, 1]) - begin
+        size = columns.length(along)
+        along /= np.maximum(size, 1e-300)
+        # Directions from an edge into its faces, perpendicular to the edge.
+        into = [columns.take(middle, face) - begin for face in faces]
+        a, b = (x - columns.dot(x, along) * along for x in into)
+        angle = np.arctan2(columns.length(columns.cross(a, b)), columns.dot(a, b))
+        wedge = np.where(two, np.pi - angle, np.pi)
+        tall = np.minimum(*(doubled.take(face) for face in faces)) / np.maximum(size, 1e-300)
+        tilt = np.where(tall < NEEDLE * size, TILT * far[t.ends[rows, 0]] / np.maximum(tall, 1e-300), 0.0)
+        wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
+        return wedge, size
+
+    wedge, size = columns.in_chunks(measure, len(t.ends))
+    return Adjacency(t.ends, t.twins, t.faces, t.first, wedge, size, ends, t.group)
 
 
 def join(a: Adjacency, b: Adjacency) -> Adjacency:
     """Return the edges of both, with the vertices of the first."""
+    if not len(b.length):
+        return a
     parts = {
         name: np.concatenate([getattr(a, name), getattr(b, name)])
         for name in ("ends", "twins", "faces", "wedge", "length", "points")
@@ -225,7 +301,7 @@ def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
     count = edges.count[keep]
     first = np.append(0, np.cumsum(count)).astype(np.int32)
     faces = edges.faces[np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])]
-    parts = {n: getattr(edges, n)[keep] for n in ("ends", "twins", "wedge", "length", "points")}
+    parts = {n: getattr(edges, n).take(keep, axis=0) for n in ("ends", "twins", "wedge", "length", "points")}
     return Adjacency(first=first, faces=faces, group=edges.group, **parts)
 
 
@@ -256,17 +332,21 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     kept = getattr(scene, "_edges", None)
     if kept is not None and np.array_equal(kept[0], points):
         return kept[1]
+    if kept is None:
+        count = len(triangles)
+        say(f"listing the edges of {count:,} triangles (first use; kept until they move)", SECONDS_A_TRIANGLE * count)
     exact = points.astype(np.float64)
+    normals = normal_columns(exact, triangles)
     topology = kept[2] if kept is not None else None
     far = scene.steps.far[shape_of_vertex(scene)]
     if topology is None or not (
         not topology.cut
         and not scene.steps.scene
         and still_welded(exact, topology.group, WELD * _extent(exact))
-        and np.array_equal(_solid(exact, triangles, topology.group), topology.solid)
+        and np.array_equal(_solid(normals, triangles, topology.group), topology.solid)
     ):
-        topology = _topology(exact, triangles, shape_of_vertex(scene), far, _scene_ranks(scene))
-    found = _measured(exact, triangles, topology, far)
+        topology = _topology(exact, triangles, normals, shape_of_vertex(scene), far, _scene_ranks(scene))
+    found = _measured(exact, triangles, normals, topology, far)
     scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
     return found
 
@@ -280,13 +360,17 @@ def sides_of(scene: Scene, edges: Adjacency) -> np.ndarray:
     kept = getattr(scene, "_sides", None)
     if kept is not None and kept[0] is edges:
         return kept[1]
-    points = scene.points.astype(np.float64)
+    p, triangles = columns.of(scene.points), scene.builder.indices
     edge = np.repeat(np.arange(len(edges.length)), edges.count)
-    ends = points[edges.ends[edge]]
-    along = (ends[:, 1] - ends[:, 0]) / np.maximum(edges.length[edge], 1e-300)[:, None]
-    corners = points[scene.builder.indices[edges.faces]] - ends[:, :1]
-    across = corners - (corners * along[:, None]).sum(axis=2, keepdims=True) * along[:, None]
-    sides = (np.argmax((across * across).sum(axis=2), axis=1) + 1) % 3
+
+    def farthest(rows: slice) -> tuple[np.ndarray]:
+        begin, end = (columns.take(p, edges.ends[:, i].take(edge[rows])) for i in (0, 1))
+        along = (end - begin) / np.maximum(edges.length.take(edge[rows]), 1e-300)
+        corners = [columns.take(p, corner) - begin for corner in triangles.take(edges.faces[rows], axis=0).T]
+        across = [x - columns.dot(x, along) * along for x in corners]
+        return (np.argmax([columns.dot(x, x) for x in across], axis=0),)
+
+    sides = (columns.in_chunks(farthest, len(edge))[0] + 1) % 3
     if edges is scene_adjacency(scene):
         scene._sides = (edges, sides)  # type: ignore[attr-defined]
     return sides

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import warp as wp
 
+from warp_psdr import columns
 from warp_psdr.kernels.constants import (
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
@@ -210,7 +211,8 @@ def _shape(scene: Scene, edges: Adjacency) -> np.ndarray:
 def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return a mask of the edges between two triangles of one shape across which no texture, nor dp/du, jumps."""
     stepped = np.array([_stepped(scene, s) for s in scene.builder.shapes])
-    within = (edges.count == 2) & (edges.ends == edges.twins).all(axis=1) & ~stepped[_shape(scene, edges)]
+    (a, b), (c, d) = edges.ends.T, edges.twins.T
+    within = (edges.count == 2) & (a == c) & (b == d) & ~stepped[_shape(scene, edges)]
     if not scene.builder.anisotropic:
         return within
     brushed = np.array([_brushed(scene, s) for s in scene.builder.shapes])
@@ -320,55 +322,81 @@ def _lobes(scene: Scene) -> np.ndarray:
 
 def _alike(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:
     """Return which of some edges have faces that turn the same side to the camera: they run along them either way."""
-    start, ends = edges.first[:-1][some], edges.ends[some]
+    start, (begin, end) = edges.first[some], edges.ends.take(some, axis=0).T
 
     def forward(face: np.ndarray) -> np.ndarray:
-        corners = scene.builder.indices[face]
-        return ((corners == ends[:, :1]) & (corners[:, [1, 2, 0]] == ends[:, 1:])).any(axis=1)
+        a, b, c = scene.builder.indices.take(face, axis=0).T
+        return ((a == begin) & (b == end)) | ((b == begin) & (c == end)) | ((c == begin) & (a == end))
 
-    return forward(edges.faces[start]) != forward(edges.faces[start + 1])
+    return forward(edges.faces.take(start)) != forward(edges.faces.take(start + 1))
 
 
 def _apart(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray, width: np.ndarray) -> np.ndarray:
     """Return which of some edges have a face on either side, as the camera sees them, at least ``width`` wide."""
-    points, triangles = scene.points, scene.builder.indices
-    start = edges.first[:-1][some]
-    ends = edges.points[some]
-    along = ends[:, 1] - ends[:, 0]
-    plane = cross(along, -view.towards(ends[:, 0]))
-    sides, spreads = [], []
-    for face in (edges.faces[start], edges.faces[np.where(edges.count[some] == 2, start + 1, start)]):
-        into = (points[triangles[face]].astype(np.float64) - ends[:, :1]).sum(axis=1)
-        sides.append((into * plane).sum(axis=1))
-        # into . (along x eye) = eye . (into x along)
-        spreads.append(view.spread(cross(into, along)))
-    scale = np.linalg.norm(plane, axis=1) * (edges.length[some] * COPLANAR + width)
-    wide = [np.abs(s) > scale + r for s, r in zip(sides, spreads, strict=True)]
-    return (sides[0] * sides[1] < 0.0) & wide[0] & wide[1]
+    p, triangles = columns.of(scene.points), scene.builder.indices
+
+    def apart(rows: slice) -> tuple[np.ndarray]:
+        own = some[rows]
+        start = edges.first[own]
+        second = np.where(edges.first[own + 1] - start == 2, start + 1, start)
+        ends = edges.points.take(own, axis=0)
+        begin = columns.of(ends[:, 0])
+        along = columns.of(ends[:, 1]) - begin
+        plane = columns.cross(along, -view.towards(begin.T).T)
+        sides, spreads = [], []
+        for face in (edges.faces.take(start), edges.faces.take(second)):
+            a, b, c = (columns.take(p, corner) - begin for corner in triangles.take(face, axis=0).T)
+            into = a + b + c
+            sides.append(columns.dot(into, plane))
+            # into . (along x eye) = eye . (into x along)
+            spreads.append(view.spread(columns.cross(into, along).T))
+        scale = columns.length(plane) * (edges.length.take(own) * COPLANAR + width[rows])
+        wide = [np.abs(s) > scale + r for s, r in zip(sides, spreads, strict=True)]
+        return ((sides[0] * sides[1] < 0.0) & wide[0] & wide[1],)
+
+    return columns.in_chunks(apart, len(some))[0]
 
 
 def _hidden(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray) -> np.ndarray:
     """Return which of some edges belong to a face of a closed shape that turns its back to the camera."""
-    shapes, points, triangles = scene.builder.shapes, scene.points.astype(np.float64), scene.builder.indices
+    shapes, points, triangles = scene.builder.shapes, columns.of(scene.points), scene.builder.indices
     shape = _shape(scene, edges)
     closed = np.bincount(shape, edges.count != 2, len(shapes)) == 0
     outside = np.zeros(len(shapes))
     for i in np.unique(shape[some]):
-        p = points[triangles[scene.builder.face_shape == i]]
-        p -= p[0, 0]
-        # Six times the volume: positive if the triangles' normals point out of the shape.
-        outside[i] = closed[i] * np.sign((p[:, 0] * cross(p[:, 1], p[:, 2])).sum())
-    p = points[triangles[edges.faces[edges.first[:-1][some]]]]
-    facing = (cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]) * view.towards(p[:, 0])).sum(axis=1)
-    return outside[shape[some]] * facing < 0.0
+        # Positive if the triangles' normals point out of the shape.
+        outside[i] = closed[i] * np.sign(_volume(points, triangles[scene.builder.face_shape == i]))
+    face = edges.faces[edges.first[some]]
+
+    def facing(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (columns.take(points, corner) for corner in triangles.take(face[rows], axis=0).T)
+        return (columns.dot(columns.cross(b - a, c - a), view.towards(a.T).T),)
+
+    return outside[shape[some]] * columns.in_chunks(facing, len(face))[0] < 0.0
+
+
+def _volume(points: np.ndarray, triangles: np.ndarray) -> float:
+    """Return six times the volume that triangles enclose.
+
+    Args:
+        points: (3, N) vertices.
+        triangles: (F, 3) their numbers.
+    """
+    origin = points[:, triangles[0, :1]]
+
+    def parts(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (columns.take(points, corner) - origin for corner in triangles[rows].T)
+        return (a * columns.cross(b, c),)
+
+    return float(np.ascontiguousarray(columns.in_chunks(parts, len(triangles))[0].T).sum())
 
 
 def _seen(view: CameraView, edges: Adjacency, use: np.ndarray) -> Seen:
     """Return what the film can see of some edges, a mask."""
     keep = np.flatnonzero(use)
-    low, high, length = view.clip(edges.points[keep])
-    seen = length > 0.0
-    return Seen(keep[seen], low[seen], high[seen], length[seen])
+    low, high, visible = view.clip(edges.points.take(keep, axis=0))
+    seen = visible > 0.0
+    return Seen(keep[seen], low[seen], high[seen], visible[seen])
 
 
 def _sine(edges: Adjacency, keep: np.ndarray) -> np.ndarray:

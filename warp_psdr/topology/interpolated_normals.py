@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr import columns
 from warp_psdr.scene.light_sampling import cumulative
 from warp_psdr.scene.shading import normals_at_corners, vertex_normals
-from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.edges import COPLANAR
+from warp_psdr.topology.camera_view import CameraView, camera_view
+from warp_psdr.topology.edges import COPLANAR, normal_columns
 from warp_psdr.topology.film_edges import scatters
 
 if TYPE_CHECKING:
@@ -31,9 +32,9 @@ def bend(scene: Scene) -> np.ndarray:
     if kept is not None and all(map(np.array_equal, kept[0], now)):
         return kept[1]
     sines = np.zeros(scene.face_count)
-    for s, normal, at in normals_at_corners(scene):
-        rows = slice(s.first_face, s.first_face + s.face_count)
-        sines[rows] = np.linalg.norm(np.cross(at, normal[:, None]), axis=2).max(axis=1)
+    for rows, normal, at in normals_at_corners(scene):
+        a, b, c = (columns.length(columns.cross(corner, normal)) for corner in at)
+        sines[rows] = np.maximum(np.maximum(a, b), c)
     scene._bend = ([array.copy() for array in now], sines)  # type: ignore[attr-defined]
     return sines
 
@@ -52,11 +53,10 @@ def interpolated_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None
     faces = np.flatnonzero(sines > COPLANAR)
     if not len(faces):
         return None
-    points = scene.points
-    p = points[scene.builder.indices[faces]].astype(np.float64)
-    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-    cdf = wp.array(cumulative(area * sines[faces]), dtype=wp.float32, device=scene.device)
-    mean = float((area * sines[faces]).sum() / area.sum())
+    area = columns.length(normal_columns(scene.points, scene.builder.indices.take(faces, axis=0)))
+    weight = area * sines[faces]
+    cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
+    mean = float(weight.sum() / area.sum())
     return cdf, wp.array(faces.astype(np.int32), dtype=wp.int32, device=scene.device), mean
 
 
@@ -71,8 +71,8 @@ def terminator_faces(
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
     """
-    values = scene.values.numpy().astype(np.float64)
-    points = scene.points.astype(np.float64)
+    values = scene.values.numpy()
+    points = columns.of(scene.points)
     view = camera_view(scene, sensor)
     interpolated = interpolated_faces(scene)
     more = np.asarray(scatters(scene).any(axis=1))
@@ -81,19 +81,12 @@ def terminator_faces(
         # What mirrors and glass reflect where n . v is small goes into their own triangle: black on both sides.
         if s.smooth == 0 or not more[i] or not (camera_moves or i in shapes):
             continue
-        vertices = slice(s.first_vertex, s.first_vertex + s.vertex_count)
+        own = points[:, s.first_vertex : s.first_vertex + s.vertex_count]
         first = s.normal_offset + 3 * s.first_vertex
-        normals = values[first : first + 3 * s.vertex_count].reshape(-1, 3)
-        facing = (normals * view.towards(points[vertices])).sum(axis=1)
-        spread = view.spread(normals)
-        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count]
-        least, most = (q[faces - s.first_vertex] for q in (facing - spread, facing + spread))
-        crossed = (least.min(axis=1) <= 0.0) & (most.max(axis=1) >= 0.0)
-        p = points[faces]
-        size = np.linalg.norm(p - p[:, [1, 2, 0]], axis=2).max(axis=1)
-        size /= np.linalg.norm(view.towards(p.mean(axis=1)), axis=1)
+        normals = columns.of(values[first : first + 3 * s.vertex_count].reshape(-1, 3))
+        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count] - s.first_vertex
         numbers.append(s.first_face + np.arange(s.face_count))
-        weights.append(np.where(crossed, size, TERMINATOR_FLOOR * size))
+        weights.append(_terminator_weights(view, own, normals, faces))
     faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
     weight = np.concatenate([np.zeros(0), *weights])[interpolated[faces]]
     faces = faces[interpolated[faces]]
@@ -101,3 +94,28 @@ def terminator_faces(
         return None
     cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
     return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
+
+
+def _terminator_weights(view: CameraView, points: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return the sizes of triangles as the camera sees them, less where no terminator can cross them.
+
+    Args:
+        view: the camera's.
+        points: (3, V) vertices.
+        normals: (3, V) interpolated normals at them.
+        faces: (F, 3) numbers of the triangles' vertices.
+    """
+    facing = columns.dot(normals, view.towards(points.T).T)
+    spread = view.spread(normals.T)
+    least, most = facing - spread, facing + spread
+
+    def weigh(rows: slice) -> tuple[np.ndarray]:
+        corners = faces[rows].T
+        low = np.minimum.reduce([least.take(corner) for corner in corners])
+        high = np.maximum.reduce([most.take(corner) for corner in corners])
+        a, b, c = (columns.take(points, corner) for corner in corners)
+        size = np.maximum.reduce([columns.length(a - b), columns.length(b - c), columns.length(c - a)])
+        size /= columns.length(view.towards(((a + b + c) / 3.0).T).T)
+        return (np.where((low <= 0.0) & (high >= 0.0), size, TERMINATOR_FLOOR * size),)
+
+    return columns.in_chunks(weigh, len(faces))[0]

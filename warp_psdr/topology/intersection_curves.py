@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr import workers
+from warp_psdr import columns, workers
 from warp_psdr.device import launch_shards
 from warp_psdr.kernels.boundary.path_space.crossing import crossing_pairs
 from warp_psdr.kernels.step import TOUCH
@@ -31,8 +31,12 @@ if TYPE_CHECKING:
 
 #: Height above a plane, as a fraction of the scene's extent, that still lies in it: rounding of float32 vertices.
 IN_PLANE = 2.0 * WELD
-#: Room for candidates at first, a shard; beyond it all of them are looked for again.
+#: Room for candidates at first, a shard of few triangles; one of many has room for as many as it has triangles. Beyond
+#: it all of them are looked for again.
 ROOM = 8192
+#: Triangles in a leaf of the hierarchy: on a CPU it is built in 0.6 of the time that it takes with one in each, and
+#: looking for candidates takes no longer.
+LEAF = 8
 
 
 def scene_curves(scene: Scene) -> Adjacency:
@@ -65,7 +69,7 @@ class _Boxes:
 
     def __init__(self, corners: np.ndarray, device: str):
         self._low, self._high = (wp.array(x, dtype=wp.vec3, device=device) for x in _bounds(corners))
-        self.bvh = wp.Bvh(self._low, self._high)
+        self.bvh = wp.Bvh(self._low, self._high, leaf_size=LEAF)
 
     def refit(self, corners: np.ndarray) -> None:
         for array, bound in zip((self._low, self._high), _bounds(corners), strict=True):
@@ -102,7 +106,7 @@ def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: 
         IN_PLANE * float(scene.steps.far[np.unique(scene.builder.face_shape)].min()),
     ]
     shards = workers.SHARDS if wp.get_device(device).is_cpu else 1
-    room = ROOM
+    room = max(ROOM, len(triangles) // shards)
     while True:
         count = wp.zeros(shards, dtype=wp.int32, device=device)
         pairs = wp.zeros((shards, room), dtype=wp.vec2i, device=device)
@@ -127,10 +131,15 @@ def _arguments(inputs: list, outputs: list, first: int, _count: int, shard: int)
 
 def _heights(points: np.ndarray, triangles: np.ndarray, plane: np.ndarray, of: np.ndarray) -> np.ndarray:
     """Heights (P, 3) of the corners of triangles ``of`` above the planes of triangles ``plane``."""
-    p = points[triangles[plane]]
-    n = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    n /= np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
-    return ((points[triangles[of]] - p[:, :1]) * n[:, None]).sum(axis=2)
+
+    def heights(rows: slice) -> tuple[np.ndarray]:
+        a, b, c = (columns.of(points.take(corner, axis=0)) for corner in triangles.take(plane[rows], axis=0).T)
+        n = columns.cross(b - a, c - a)
+        n /= np.maximum(columns.length(n), 1e-300)
+        x = (columns.of(points.take(corner, axis=0)) for corner in triangles.take(of[rows], axis=0).T)
+        return (np.stack([columns.dot(corner - a, n) for corner in x]),)
+
+    return np.ascontiguousarray(columns.in_chunks(heights, len(plane))[0].T)
 
 
 def _interval(points, triangles, face, heights, origin, along) -> tuple[np.ndarray, np.ndarray]:
@@ -189,13 +198,13 @@ def _beyond(points, triangles, edges: Adjacency, plane, of, heights) -> np.ndarr
     if not len(of):
         return result
     size = int(edges.group.max()) + 1
-    key = np.sort(edges.group[edges.ends], axis=1).astype(np.int64) @ [size, 1]
-    order = np.argsort(key)
+    # Edges come in the order of the groups of their ends, the lower one first.
+    key = edges.group.take(edges.ends[:, 0]) * size + edges.group.take(edges.ends[:, 1])
     corner = np.argmax(heights != 0.0, axis=1)
     rows = np.arange(len(of))
     ends = np.stack([triangles[of, (corner + 1) % 3], triangles[of, (corner + 2) % 3]], axis=1)
-    wanted = np.sort(edges.group[ends], axis=1).astype(np.int64) @ [size, 1]
-    edge = order[np.minimum(np.searchsorted(key[order], wanted), len(order) - 1)]
+    wanted = np.sort(edges.group[ends], axis=1) @ [size, 1]
+    edge = np.minimum(np.searchsorted(key, wanted), len(key) - 1)
     two = (key[edge] == wanted) & (edges.count[edge] == 2)
     first = edges.first[:-1][edge]
     other = np.where(

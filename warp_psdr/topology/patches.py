@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.topology.edges import area_normals, joined_faces, scene_adjacency
+from warp_psdr import columns
+from warp_psdr.topology.edges import joined_faces, normal_columns, scene_adjacency
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -51,8 +52,7 @@ def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.nda
     Returns:
         (F,) float64, world units; 0: without area.
     """
-    normal = area_normals(points.astype(np.float64), triangles)
-    area = 0.5 * np.sqrt((normal * normal).sum(axis=1))
+    area = 0.5 * columns.length(normal_columns(points, triangles))
     sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
 
     def widths(joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
