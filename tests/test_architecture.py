@@ -21,8 +21,9 @@ MAX_LINES = 500
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (
     {
-        *("arrays", "compiler", "device", "exr_header", "files", "float_images", "forks", "headers", "html", "image"),
+        *("arrays", "compiler", "device", "exr_header", "files", "film", "float_images", "forks", "headers", "html"),
         *(
+            "image",
             "image_io",
             "invalid",
             "kernel_cache",
