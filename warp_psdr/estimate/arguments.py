@@ -71,11 +71,12 @@ def draw_of(integrator: PathIntegrator, spp: int, value) -> Draw:
     """
     if value is None:
         return Draw(spp)
-    guiding = getattr(integrator.boundary, "guiding", None)
+    method = integrator.boundary
+    guiding = getattr(method, "guiding", None)
     if guiding is not None:
         raise ValueError(
-            f"samples: {type(guiding).__name__} keeps a structure from one gradient to the next, so that ranges do not "
-            "add up; name a method of the boundary term without guiding, or leave samples out"
+            f"samples: guiding.{type(guiding).__name__} keeps a structure from one gradient to the next, so ranges do "
+            f"not add up; say boundary.{type(method).__name__}(guiding=None), or leave samples out"
         )
     return Draw(spp, *sample_range(value, spp))
 
