@@ -50,7 +50,7 @@ class Film:
 
     @property
     def samples(self) -> int:
-        """Samples a pixel: of pixels with unequal numbers the largest."""
+        """Samples a pixel, the largest number where pixels have unequal ones."""
         return int(self.drawn.max(initial=0))
 
     def __repr__(self) -> str:
