@@ -21,7 +21,8 @@ MAX_LINES = 500
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (
     {
-        *("arrays", "columns", "compiler", "device", "exr_header", "files", "float_images", "forks", "headers", "html"),
+        *("arrays", "columns", "compiler", "device", "exr_header", "files", "film", "float_images", "forks"),
+        *("headers", "html"),
         *(
             "image",
             "image_io",

@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
     from warp_psdr.estimate.trace import Trace, trace_sample
+    from warp_psdr.film import Film
     from warp_psdr.image import Image
     from warp_psdr.image_io import read_image, write_image
     from warp_psdr.invalid import invalid_samples
@@ -41,6 +42,7 @@ __all__ = [
     "AovIntegrator",
     "BoundaryTrace",
     "Compilation",
+    "Film",
     "Image",
     "Parameters",
     "PathIntegrator",
@@ -93,6 +95,7 @@ _PUBLIC = {
     "AovIntegrator": "options.integrator",
     "BoundaryTrace": "estimate.boundary.trace",
     "Compilation": "estimate.compile",
+    "Film": "film",
     "Image": "image",
     "Parameters": "scene.parameters",
     "PathIntegrator": "options.integrator",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 import warp as wp
@@ -14,17 +14,21 @@ from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import (
     adjoint_array,
     checked_seed,
+    draw_of,
     flat,
     flat_tangents,
+    refuse_budget,
     requested,
     sample_count,
-    samples,
 )
+from warp_psdr.estimate.arguments import samples as checked_samples
 from warp_psdr.estimate.calls import ImageCall, derivative
 from warp_psdr.estimate.draw import Draw
+from warp_psdr.estimate.films import Rectangle, film
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.passes import Progress
-from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, shape_of_views
+from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, require_range, shape_of_views
+from warp_psdr.film import Film
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.reduction import add_range
@@ -46,6 +50,41 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 
+@overload
+def render(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    sensor: Sensor = 0,
+    integrator: Integrator | None = None,
+    spp: int | None = None,
+    spp_grad: int | None = None,
+    samples: None = None,
+    seed: int = 0,
+    tape: wp.Tape | None = None,
+    progress: Progress | None = None,
+    target_error: float | None = None,
+    time_budget: float | None = None,
+    report: Report | None = None,
+    reached: Callable[[Reached], None] | None = None,
+) -> Image: ...
+
+
+@overload
+def render(
+    scene: Scene,
+    params: Parameters | None = None,
+    *,
+    sensor: Sensor = 0,
+    integrator: Integrator | None = None,
+    spp: int | None = None,
+    samples: tuple[int, int],
+    pixels: list[Rectangle] | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Film: ...
+
+
 @warns
 def render(
     scene: Scene,
@@ -55,6 +94,8 @@ def render(
     integrator: Integrator | None = None,
     spp: int | None = None,
     spp_grad: int | None = None,
+    samples: tuple[int, int] | None = None,
+    pixels: list[Rectangle] | None = None,
     seed: int = 0,
     tape: wp.Tape | None = None,
     progress: Progress | None = None,
@@ -62,8 +103,8 @@ def render(
     time_budget: float | None = None,
     report: Report | None = None,
     reached: Callable[[Reached], None] | None = None,
-) -> Image:
-    """Render an image.
+) -> Image | Film:
+    """Render an image, or the film of some of its samples.
 
     Args:
         scene: a loaded scene.
@@ -73,6 +114,13 @@ def render(
             default: what the scene file names, else ``PathIntegrator()``.
         spp: samples a pixel; default: the sensor's sample count.
         spp_grad: samples a pixel of the backward pass; default: ``spp``.
+        samples: (a, b): draw the samples with the numbers a ... b - 1 of every pixel, 0 <= a < b, and return their
+            ``psdr.Film``. The numbers go on without end, and sample n of a pixel is the same for any range and ``spp``,
+            which is therefore not needed, and b may exceed it. Films of (0, n) and (n, m) add up to that of (0, m),
+            whose image is that of ``spp=m``. Not with a tape or a budget, and before one sensor.
+        pixels: with ``samples``: rectangles [(x0, y0, x1, y1), ...] in the crop window, columns x0 ... x1 - 1 and rows
+            y0 ... y1 - 1. Only what counts there is drawn, with the values of the whole film; the film is empty
+            elsewhere. Not where paths start at the lights.
         seed: equal seeds give equal bits, with a budget only where a report is given and no time; the backward pass is
             decorrelated from the image.
         tape: a Warp tape to record the rendering on: ``tape.backward(loss)`` then adds to the gradients of the
@@ -88,7 +136,7 @@ def render(
         ``wp.array2d`` of vec3, shape (H, W) of the crop window: radiance in W/m^2/sr, averaged under the pixel filter
             (``psdr.Image``, which notebooks show). Of a list of sensors (B, H, W), of a ``batch`` side by side. Of a
             ``transient_hdr_film``: (H, W, bins), the radiance of light that arrives within each bin, whose sum is the
-            image of light of all those lengths.
+            image of light of all those lengths. With ``samples``: a ``psdr.Film``.
 
     Raises:
         ValueError: an option out of range, or two that exclude each other; with a tape: parameters are missing, or
@@ -103,6 +151,18 @@ def render(
         check_owner(scene, params)
     if tape is None and params is not None and params.requested:
         tape = active_tape()
+    if pixels is not None and samples is None:
+        raise ValueError("pixels: rectangles of a film of samples=(a, b); give these, for example samples=(0, spp)")
+    if samples is not None:
+        refuse_budget("samples", target_error=target_error, time_budget=time_budget, report=report)
+        if tape is not None:
+            raise ValueError(
+                "samples: a film is not recorded on a tape; leave samples out, or call "
+                "render_backward(..., samples=(a, b)) with the loss's adjoint"
+            )
+        if spp is not None:
+            checked_samples("spp", spp)
+        return film(scene, views, integrator_of(scene, integrator), samples, pixels, checked_seed(seed), progress)
     if budget.check(spp, target_error, time_budget, report):
         if tape is not None:
             raise ValueError(
@@ -117,7 +177,7 @@ def render(
         raise ValueError("render(tape=...) differentiates what params.requires_grad(...) names; pass such params")
     if views.several:
         spp = count_of_views(scene, views, spp)
-        gradient_spp = samples("spp_grad", spp_grad) if spp_grad is not None else spp
+        gradient_spp = checked_samples("spp_grad", spp_grad) if spp_grad is not None else spp
         for number in views.sensors if tape is not None else ():
             decide(scene, params, integrator=integrator, sensor=number)
 
@@ -130,7 +190,7 @@ def render(
         return image
     sensor = views.sensors[0]
     spp = sample_count(scene, sensor, spp)
-    gradient_spp = samples("spp_grad", spp_grad if spp_grad is not None else spp)
+    gradient_spp = checked_samples("spp_grad", spp_grad if spp_grad is not None else spp)
     call = ImageCall(scene, decide(scene, integrator=integrator, sensor=sensor), sensor, seed)
     if tape is not None:
         # Says what cannot be differentiated, before the work.
@@ -179,6 +239,7 @@ def render_backward(
     sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
+    samples: tuple[int, int] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     target_error: float | None = None,
@@ -195,6 +256,12 @@ def render_backward(
         sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
+        samples: (a, b), 0 <= a < b <= ``spp``: add the part of the gradient that the samples with the numbers a ...
+            b - 1 of the ``spp`` bring, of the boundary term in proportion. The parts of ranges that partition
+            (0, ``spp``) add up to the whole at the same values, seed and methods. One part alone is no estimate of it:
+            its samples of the boundary term lie on some of the edges. Neither with a budget nor with guiding.
+            There is no ``pixels`` here: give an adjoint that is zero in the other pixels, whose samples cost next to
+            nothing.
         seed: equal calls in equal order give equal bits, and so do equal seeds and values unless a repeated gradient
             is guided (``PathIntegrator.boundary``); with a budget if a report is given and no time.
         progress: called with the finished fraction.
@@ -215,6 +282,8 @@ def render_backward(
 
     check_loaded(scene)
     views = scene.description.views(sensor)
+    if samples is not None:
+        refuse_budget("samples", target_error=target_error, time_budget=time_budget, report=report)
     if budget.check(spp, target_error, time_budget, report):
         what = quantities.gradient(scene, views, params, adjoint, integrator=integrator)
         wanted = budget.Budget(target_error, time_budget, report)
@@ -227,19 +296,31 @@ def render_backward(
     names, seed = requested(scene, params), checked_seed(seed)
     if views.several:
         spp = count_of_views(scene, views, spp)
+        require_range(scene, views, integrator, spp, samples)
         adjoints = adjoint_array(adjoint, shape_of_views(scene, views), scene.device).numpy()
         for number, place, told in each(scene, views, progress):
             own = of_one(scene, views, adjoints, place)
-            render_backward(scene, params, own, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told)
+            render_backward(
+                scene,
+                params,
+                own,
+                sensor=number,
+                integrator=integrator,
+                spp=spp,
+                samples=samples,
+                seed=seed,
+                progress=told,
+            )
         return None
     sensor = views.sensors[0]
     spp = sample_count(scene, sensor, spp)
+    draw = draw_of(integrator, spp, samples)
     adjoint = flat(adjoint_array(adjoint, shape_of(scene, sensor), scene.device))
     plan = decide(scene, params, integrator=integrator, sensor=sensor)
-    guide = integrator.boundary == "auto"
+    guide = integrator.boundary == "auto" and samples is None  # what guides changes from call to call
     call = derivative(scene, plan, names, "reverse", sensor, spp, seed, adjoint, guide=guide)
     sums = GradientSums(scene, names)
-    call.add(Draw(spp), sums, progress)
+    call.add(draw, sums, progress)
     total = sums.result()
     for name in names:
         _add(scene, params, name, total, scene.parameters[name].offset)
@@ -262,6 +343,7 @@ def render_forward(
     sensor: Sensor = 0,
     integrator: Integrator | None = None,
     spp: int | None = None,
+    samples: tuple[int, int] | None = None,
     seed: int = 0,
     progress: Progress | None = None,
     target_error: float | None = None,
@@ -280,6 +362,8 @@ def render_forward(
         sensor: which camera, by its number or its id; of a ``batch`` all its cameras; several in a list.
         integrator: as of ``render``; default: what the scene file names.
         spp: samples a pixel; default: the sensor's sample count.
+        samples: (a, b), 0 <= a < b <= ``spp``: return the part of the derivative image that samples with the numbers
+            a ... b - 1 of the ``spp`` bring, as of ``render_backward``. Neither with a budget nor with guiding.
         seed: equal seeds give equal bits, with a budget only where a report is given and no time, and the random
             numbers of ``render_backward``.
         progress: called with the finished fraction.
@@ -301,6 +385,8 @@ def render_forward(
 
     check_loaded(scene)
     views = scene.description.views(sensor)
+    if samples is not None:
+        refuse_budget("samples", target_error=target_error, time_budget=time_budget, report=report)
     if budget.check(spp, target_error, time_budget, report):
         what = quantities.together(
             views, lambda n: quantity.derivative(scene, params, tangents, integrator=integrator, sensor=n)
@@ -313,20 +399,30 @@ def render_forward(
     seed = checked_seed(seed)
     if views.several:
         spp = count_of_views(scene, views, spp)
+        require_range(scene, views, integrator, spp, samples)
 
-        def draw(number: int, told: Progress | None) -> Image:
+        def alone(number: int, told: Progress | None) -> Image:
             return render_forward(
-                scene, params, tangents, sensor=number, integrator=integrator, spp=spp, seed=seed, progress=told
+                scene,
+                params,
+                tangents,
+                sensor=number,
+                integrator=integrator,
+                spp=spp,
+                samples=samples,
+                seed=seed,
+                progress=told,
             )
 
-        return assembled(scene, views, draw, progress, signed=True)
+        return assembled(scene, views, alone, progress, signed=True)
     sensor = views.sensors[0]
     spp = sample_count(scene, sensor, spp)
+    draw = draw_of(integrator, spp, samples)
     names = list(tangents)
     target = flat_tangents(scene, params, tangents)
     plan = decide(scene, integrator=integrator, sensor=sensor, names=names)
     if plan.boundary is not None:
         contacts.warn(scene, target.numpy())
-    guide = integrator.boundary == "auto"
+    guide = integrator.boundary == "auto" and samples is None  # what guides changes from call to call
     call = derivative(scene, plan, names, "forward", sensor, spp, seed, target, guide=guide)
-    return call.image(call.draw(Draw(spp), progress))
+    return call.image(call.draw(draw, progress))

@@ -12,7 +12,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),
     "Plan and cost": ("plan", "accuracy", "compile", "methods", "Plan", "Compilation"),
-    "Other images": ("render_aov", "render_parts", "render_moment", "Image"),
+    "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),
     "Pictures and files": ("view", "read_image", "write_image"),
     "More": (
         *("set_workers", "set_ray_backend", "invalid_samples", "trace_sample"),

@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.estimate.draw import Draw
 from warp_psdr.scene.derived_values import accumulate_derived
 from warp_psdr.scene.parameters import check_owner
 
 if TYPE_CHECKING:
+    from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
@@ -38,6 +40,56 @@ def samples(name: str, value) -> int:
     if value > MOST_SAMPLES:
         raise ValueError(f"{name}: got {value}, expected at most {MOST_SAMPLES}; average renderings of several seeds")
     return int(value)
+
+
+def sample_range(value, spp: int | None = None) -> tuple[int, int]:
+    """Return a range of sample numbers (a, b), the numbers a ... b - 1, as two ints.
+
+    Args:
+        value: what was given.
+        spp: how many samples there are; None: their numbers have no end.
+
+    Raises:
+        ValueError: it is no such range.
+    """
+    most, end = (MOST_SAMPLES, str(MOST_SAMPLES)) if spp is None else (spp, f"spp = {spp}")
+    numbers = tuple(value) if isinstance(value, (tuple, list)) else ()
+    whole = all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) for n in numbers)
+    if len(numbers) != 2 or not whole or not 0 <= numbers[0] < numbers[1] <= most:
+        raise ValueError(
+            f"samples: got {value!r}, expected (a, b) with 0 <= a < b <= {end}: the numbers a ... b - 1 of every "
+            "pixel's samples"
+        )
+    return int(numbers[0]), int(numbers[1])
+
+
+def draw_of(integrator: PathIntegrator, spp: int, value) -> Draw:
+    """Return the samples that a call of a derivative draws: all, or a range (a, b) of the numbers below ``spp``.
+
+    Raises:
+        ValueError: it is no such range, or the boundary term is guided.
+    """
+    if value is None:
+        return Draw(spp)
+    method = integrator.boundary
+    guiding = getattr(method, "guiding", None)
+    if guiding is not None:
+        raise ValueError(
+            f"samples: guiding.{type(guiding).__name__} keeps a structure from one gradient to the next, so ranges do "
+            f"not add up; say boundary.{type(method).__name__}(guiding=None), or leave samples out"
+        )
+    return Draw(spp, *sample_range(value, spp))
+
+
+def refuse_budget(name: str, **budget) -> None:
+    """Raise where an argument of a name stands beside those of a budget.
+
+    Raises:
+        ValueError: one of them is given.
+    """
+    for other, value in budget.items():
+        if value is not None:
+            raise ValueError(f"{name} and {other} exclude each other: a budget chooses its samples itself; give one")
 
 
 def requested(scene: Scene, params: Parameters) -> list[str]:

@@ -57,10 +57,20 @@ class ImageCall:
         """Return what the call compiles."""
         return light.image_kernels(self.scene, self.plan, self.sensor)
 
-    def draw(self, draw: Draw, progress: Progress | None = None) -> Parts:
-        """Return what some samples add up to: "film", or "bins" of a transient film, and "splats" of light paths."""
+    def draw(
+        self,
+        draw: Draw,
+        progress: Progress | None = None,
+        *,
+        pixels: wp.array | None = None,
+        squares: wp.array | None = None,
+    ) -> dict[str, wp.array]:
+        """Return what some samples add up to: "film", or "bins" of a transient film, and "splats" of light paths.
+
+        ``pixels`` and ``squares``: of "film", as of ``passes.film_of``.
+        """
         scene, plan, stream = self.scene, self.plan, mix_seed(self.seed, STREAM_PRIMAL)
-        found: Parts = {}
+        found: dict[str, wp.array] = {}
         first, second = (progress, None) if plan.light is None else (part(progress, 0.0, 0.5), part(progress, 0.5, 0.5))
         if plan.times is not None:
             height, width, bins = shape_of(scene, self.sensor)
@@ -68,11 +78,11 @@ class ImageCall:
             timed(scene, plan, self.sensor, draw, stream, film, first)
             found["bins"] = film
         elif not light.connected(plan):
-            found["film"] = film_of(scene, plan, self.sensor, draw, stream, first)
+            found["film"] = film_of(scene, plan, self.sensor, draw, stream, first, pixels, squares)
         splats = light.film_of(scene, plan, self.sensor, draw, stream, second)
         return found if splats is None else found | {"splats": splats}
 
-    def finish(self, parts: Parts, *, requires_grad: bool = False) -> Image:
+    def finish(self, parts: dict[str, wp.array], *, requires_grad: bool = False) -> Image:
         """Return the image that all samples add up to."""
         image = Image(shape_of(self.scene, self.sensor), self.scene.device, requires_grad=requires_grad)
         pixels = flat(image)

@@ -201,9 +201,14 @@ def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress
     return rows.numpy()
 
 
-def filter_margin(camera) -> int:
+def filter_reach(camera: Camera) -> int:
+    """Return how many pixels away from its own a sample can count, under a filter that lets it (``splats``)."""
+    return math.ceil(camera.filter_radius - 0.5)
+
+
+def filter_margin(camera: Camera) -> int:
     """Return how many pixels beyond the film's border a sample can lie that counts for it."""
-    return math.ceil(camera.filter_radius - 0.5) if camera.sample_border else 0
+    return filter_reach(camera) if camera.sample_border else 0
 
 
 def interior_backward(

@@ -13,13 +13,14 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.estimate.arguments import sample_count, samples
+from warp_psdr.estimate.arguments import draw_of, sample_count, samples
 from warp_psdr.estimate.passes import Progress, part
 from warp_psdr.image import Image
 from warp_psdr.kernels.columns import place_columns
 from warp_psdr.plan.transient import require_steady, shape_of
 
 if TYPE_CHECKING:
+    from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.description import Views
     from warp_psdr.scene.scene import Scene
 
@@ -50,6 +51,18 @@ def count_of_views(scene: Scene, views: Views, spp: int | None) -> int | None:
     if spp is not None:
         return samples("spp", spp)
     return None if views.batch is None else sample_count(scene, views.batch, None)
+
+
+def require_range(
+    scene: Scene, views: Views, integrator: PathIntegrator, spp: int | None, value: tuple[int, int] | None
+) -> None:
+    """Raise, before the first of several sensors is drawn, unless each has the samples of a range.
+
+    Raises:
+        ValueError: as of ``arguments.draw_of``.
+    """
+    for number in views.sensors:
+        draw_of(integrator, sample_count(scene, number, spp), value)
 
 
 def assembled(
