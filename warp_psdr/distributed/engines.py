@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 SMALL = 1 << 16
 #: Data from this size on is copied between Dask's workers; it has to be sent anew if all that have it are lost.
 LARGE = 8 << 20
+#: Seconds that a process has to end by itself.
+PATIENCE = 5.0
 #: Arguments by which ``signal.signal`` ignores Ctrl-C.
 IGNORED = (signal.SIGINT, signal.SIG_IGN)
 #: Times that a job is sent again after its process was lost, without any other having been done meanwhile.
@@ -163,8 +165,15 @@ class Processes:
 
     def close(self) -> None:
         """End the executor if it is the engine's own."""
-        if self._own:
-            self._executor.shutdown(wait=True, cancel_futures=True)
+        if not self._own:
+            return
+        processes = list((getattr(self._executor, "_processes", None) or {}).values())
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.join(PATIENCE)
+            # One that was killed while it waited for a job keeps the lock of the others, and these wait for ever.
+            if process.is_alive():
+                process.kill()
 
     def _submit(
         self, job: Job, arrived: Callable[[Executor, Future], None], pending: Pending, missing: tuple[str, ...]
