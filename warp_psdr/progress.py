@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import TYPE_CHECKING, TextIO
 
 import warp as wp
@@ -22,6 +23,19 @@ PLAIN_LINES = 20
 
 #: ``report(done, text)``: how many steps are done, and what to say about the last one.
 Report = Callable[[int, str], None]
+
+
+_silent: ContextVar[bool] = ContextVar("silent", default=False)
+
+
+@contextmanager
+def silence() -> Iterator[None]:
+    """Show no progress of what runs inside: whoever has started it shows that of several."""
+    token = _silent.set(True)
+    try:
+        yield
+    finally:
+        _silent.reset(token)
 
 
 @contextmanager
@@ -42,6 +56,9 @@ def progress(
     Yields:
         A function ``report(done, text)``, to be called after every step.
     """
+    if _silent.get():
+        yield lambda _done, _text: None
+        return
     stream = sys.stderr if stream is None else stream
     clock = _Clock(total, start)
     lock = threading.Lock()  # worker threads report too

@@ -7,6 +7,7 @@
 """
 
 from warp_psdr.distributed.jobs import JobError
-from warp_psdr.distributed.pool import Pool, Report
+from warp_psdr.distributed.pool import Pool
+from warp_psdr.distributed.traffic import Report
 
 __all__ = ["JobError", "Pool", "Report"]

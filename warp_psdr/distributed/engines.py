@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from warp_psdr import workers
 from warp_psdr.distributed.jobs import KEPT_BYTES, Done, Missing, merge
+from warp_psdr.distributed.traffic import Traffic
 from warp_psdr.distributed.wire import Parcel, Store
 
 if TYPE_CHECKING:
@@ -47,25 +48,6 @@ class Job:
     function: Callable[..., Done | Missing]
     arguments: tuple[Any, ...]
     parcels: tuple[Parcel, ...]
-
-
-@dataclass
-class Traffic:
-    """What a pool has sent and received.
-
-    Attributes:
-        jobs: that were done.
-        sent: bytes of data, at least: Dask may copy it from worker to worker.
-        received: bytes of results.
-        lost: times that a job was sent again since its process was lost.
-        seconds: that the jobs ran, all processes together.
-    """
-
-    jobs: int = 0
-    sent: int = 0
-    received: int = 0
-    lost: int = 0
-    seconds: float = 0.0
 
 
 @dataclass
@@ -101,7 +83,7 @@ class Engine(Protocol):
         """Run jobs, a power of two, and return what gives the merged result; ``told`` is called as each is done."""
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Run any function once, and not again if its process is lost."""
+        """Run any function, and again if its process is lost."""
 
     def close(self) -> None:
         """Let go of what the engine has made itself."""
@@ -161,7 +143,33 @@ class Processes:
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Run any function; as of ``Engine``."""
-        return self._executor.submit(function, *arguments)
+        result: Future[Any] = Future()
+        self._called(result, function, arguments)
+        return result
+
+    def _called(self, result: Future[Any], function: Callable[..., Any], arguments: tuple) -> None:
+        def arrived(executor: Executor, future: Future) -> None:
+            try:
+                value = future.result()
+                if result.set_running_or_notify_cancel():
+                    result.set_result(value)
+            except BrokenExecutor as error:
+                try:
+                    self._lost(executor, error)
+                    self._called(result, function, arguments)
+                except Exception as problem:
+                    _fail(result, problem)
+            except (Exception, CancelledError) as error:
+                _fail(result, error)
+
+        with self._lock:
+            executor = self._executor
+            try:
+                future = executor.submit(function, *arguments)
+            except BrokenExecutor:
+                executor = self._renewed(executor)
+                future = executor.submit(function, *arguments)
+        future.add_done_callback(functools.partial(arrived, executor))
 
     def close(self) -> None:
         """End the executor if it is the engine's own."""

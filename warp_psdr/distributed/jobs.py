@@ -6,13 +6,14 @@ time in a process: threads of Dask's wait for each other, and the job that runs 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import pickle
 import platform
 import threading
 import time
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -197,6 +198,13 @@ def merge(one: Done, other: Done) -> Done:
         first = had.first or count.first
         invalid[kind] = Count(had.samples + count.samples, had.invalid + count.invalid, first)
     return Done(parts, invalid, one.seconds + other.seconds)
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """Keep the process's other jobs waiting."""
+    with _lock:
+        yield
 
 
 def named() -> str:

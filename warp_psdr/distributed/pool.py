@@ -5,11 +5,11 @@ Derivation: ``docs/cluster.md``.
 
 from __future__ import annotations
 
-import math
+import functools
 import weakref
 from collections.abc import Callable, Sequence
-from concurrent.futures import CancelledError, Executor
-from dataclasses import dataclass
+from concurrent.futures import CancelledError, Executor, Future
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,6 +19,8 @@ from warp_psdr import workers
 from warp_psdr.device import launch
 from warp_psdr.distributed import jobs
 from warp_psdr.distributed.engines import Dask, Engine, Job, Pending, Processes
+from warp_psdr.distributed.shares import Fractions, count, on_device, refuse_guiding, shares
+from warp_psdr.distributed.traffic import Report
 from warp_psdr.distributed.values import changed
 from warp_psdr.distributed.wire import Parcel, parcel, unpack
 from warp_psdr.estimate import calls, choice
@@ -34,7 +36,6 @@ from warp_psdr.estimate.views import assembled, count_of_views, of_one, shape_of
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
 from warp_psdr.kernels.reduction import add_range
-from warp_psdr.options.boundary import PathSpace
 from warp_psdr.options.integrator import Integrator, PathIntegrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
@@ -48,43 +49,12 @@ from warp_psdr.workers import Share
 if TYPE_CHECKING:
     from distributed import Client
 
+    from warp_psdr.distributed.fits import Views
+    from warp_psdr.fit.config import FitConfig
+    from warp_psdr.fit.run import FitResult
     from warp_psdr.scene.edits import State
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
-
-#: Shares of a call for every process: more balance better, each costs some milliseconds.
-SHARES_PER_PROCESS = 4
-
-
-@dataclass(frozen=True)
-class Report:
-    """What a pool has done; ``str`` is a table.
-
-    Attributes:
-        processes: of the pool.
-        jobs: that were done.
-        sent: bytes of scenes, values, adjoints and targets.
-        received: bytes of images and gradients.
-        lost: times that jobs were sent again since a process was lost.
-        seconds: that the jobs ran, all processes together.
-    """
-
-    processes: int
-    jobs: int
-    sent: int
-    received: int
-    lost: int
-    seconds: float
-
-    def __str__(self) -> str:
-        rows = (
-            ("processes", f"{self.processes}"),
-            ("jobs", f"{self.jobs}, {self.seconds:.1f} s together"),
-            ("sent", f"{self.sent / 1e6:.2f} MB"),
-            ("received", f"{self.received / 1e6:.2f} MB"),
-            ("sent again", f"{self.lost}"),
-        )
-        return "\n".join(f"{name:<10} {value}" for name, value in rows)
 
 
 class Pool:
@@ -167,7 +137,7 @@ class Pool:
         path, seed = integrator_of(scene, integrator), checked_seed(seed)
         spp = count_of_views(scene, views, spp) if views.several else spp
         started = []
-        told = _Fractions(progress)
+        told = Fractions(progress)
         for number in views.sensors:
             call = calls.ImageCall(scene, decide(scene, integrator=path, sensor=number), number, seed)
             started.append((call, self._start(call, path, sample_count(scene, number, spp), len(views.sensors), told)))
@@ -218,7 +188,7 @@ class Pool:
         adjoints = adjoint_array(adjoint, whole, scene.device)
         width = whole[-1] // len(views.sensors)
         started = []
-        told = _Fractions(progress)
+        told = Fractions(progress)
         for i, number in enumerate(views.sensors):
             own = adjoints
             if views.several:
@@ -281,7 +251,7 @@ class Pool:
         spp = count_of_views(scene, views, spp) if views.several else spp
         target = flat_tangents(scene, params, tangents)
         started = []
-        told = _Fractions(progress)
+        told = Fractions(progress)
         for number in views.sensors:
             plan = decide(scene, integrator=path, sensor=number, names=names)
             if plan.boundary is not None:
@@ -293,6 +263,62 @@ class Pool:
         if not views.several:
             return images[views.sensors[0]]
         return assembled(scene, views, lambda number, _told: images[number], None, signed=True)
+
+    def fit(
+        self,
+        config: FitConfig | str | Path,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        iterations: int | None = None,
+    ) -> FitResult:
+        """Recover parameters from images, as ``psdr.fit.fit`` does, with its bits: a step's views are jobs.
+
+        Args:
+            config: what to do, or the TOML or JSON file that says so.
+            resume: continue from the checkpoint in the output folder, if there is one.
+            overwrite: start again although there is a checkpoint.
+            iterations: replaces that of ``config``.
+
+        Returns:
+            The recovered values; results are written by this process.
+
+        Raises:
+            ValueError: as ``psdr.fit.fit``, or the pool is closed.
+            JobError: a job failed; a checkpoint of the last whole step is written.
+            RuntimeError: the processes are gone; likewise.
+        """
+        from warp_psdr.fit.config import FitConfig
+        from warp_psdr.fit.run import fit
+
+        self._check_open()
+        config = config if isinstance(config, FitConfig) else FitConfig.from_file(Path(config))
+        return fit(config, resume=resume, overwrite=overwrite, iterations=iterations, pool=self)
+
+    def map_fits(
+        self, configs: Sequence[FitConfig | str | Path], *, resume: bool = False, overwrite: bool = False
+    ) -> list[FitResult]:
+        """Run independent fits side by side, each in one process: many starts, many scenes.
+
+        Processes read the files that the configurations name, and write the results, so they share a file system. One
+        whose process is lost is started again; with ``resume`` it goes on from its checkpoint.
+
+        Args:
+            configs: what to do, each with an output folder of its own.
+            resume: continue from the checkpoints in the output folders, where there are any.
+            overwrite: start again although there are checkpoints.
+
+        Returns:
+            Their results, in the order of the configurations.
+
+        Raises:
+            ValueError: the pool is closed, or two fits have one output folder.
+            ExceptionGroup: of the errors of those that failed, after all others have ended.
+        """
+        from warp_psdr.distributed.fits import map_fits
+
+        self._check_open()
+        return map_fits(self, configs, resume=resume, overwrite=overwrite)
 
     # -- jobs ------------------------------------------------------------------------------------------------------
 
@@ -307,9 +333,20 @@ class Pool:
         base, whole = self._bases[scene]
         return whole, parcel(changed(base, scene))
 
-    def run(self, job: Job, told: Callable[[], None]) -> Pending:
+    def run(self, job: Job) -> Pending:
         """Run one job."""
-        return self._engine.tree([job], told)
+        return self._engine.tree([job], lambda: None)
+
+    def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
+        """Run a function of the number of threads and some arguments in one process."""
+        return self._engine.call(function, self._threads, *arguments)
+
+    @functools.cached_property
+    def views(self) -> Views:
+        """The views of fits."""
+        from warp_psdr.distributed.fits import Views
+
+        return Views(self)
 
     def wait(self, started: Sequence[Pending]) -> list[jobs.Done]:
         """Return the results of jobs; an error, or Ctrl-C, takes back those that have not begun."""
@@ -323,11 +360,14 @@ class Pool:
             raise
 
     def _check(self, scene: Scene, params: Parameters | None) -> None:
-        if self._closed:
-            raise ValueError("the pool is closed; make another one")
+        self._check_open()
         check_loaded(scene)
         if params is not None:
             check_owner(scene, params)
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise ValueError("the pool is closed; make another one")
 
     def _derivative(
         self,
@@ -352,7 +392,7 @@ class Pool:
         integrator: PathIntegrator,
         spp: int,
         sensors: int,
-        told: _Fractions,
+        told: Fractions,
     ) -> Pending:
         """Send the shares of a call."""
         whole, change = self.parcels_of(call.scene)
@@ -375,57 +415,6 @@ class Pool:
         for done, (call, _pending) in zip(self.wait([p for _call, p in started]), started, strict=True):
             count(scene, done)
             yield call, {kind: on_device(unpack(part), scene) for kind, part in done.parts.items()}
-
-
-class _Fractions:
-    """Tells the finished fraction of jobs that are sent one after the other."""
-
-    def __init__(self, progress: Callable[[float], None] | None):
-        self._progress, self._done, self._all = progress, 0, 0
-
-    def expect(self, jobs: int) -> Callable[[], None]:
-        """Return what is called as each of so many more jobs is done."""
-        self._all += jobs
-        return self._told
-
-    def _told(self) -> None:
-        self._done += 1
-        if self._progress is not None:
-            self._progress(min(self._done / self._all, 1.0))
-
-
-def shares(processes: int, calls: int) -> int:
-    """Return into how many shares each of some calls is split, a power of two; results do not depend on it."""
-    wanted = max(math.ceil(SHARES_PER_PROCESS * processes / calls), 1)
-    return min(workers.below(2 * wanted - 1), workers.SHARDS)
-
-
-def refuse_guiding(integrator: PathIntegrator) -> None:
-    """Refuse a guided boundary term, whose structures keep what earlier gradients have found.
-
-    Raises:
-        ValueError: the integrator names a guiding method.
-    """
-    guiding = getattr(integrator.boundary, "guiding", None)
-    if guiding is not None:
-        raise ValueError(
-            f"boundary: {type(guiding).__name__} keeps a structure from one gradient to the next, which processes of a "
-            f"pool do not share; say PathIntegrator(boundary={PathSpace.__name__}()), or call psdr.render_backward"
-        )
-
-
-def count(scene: Scene, done: jobs.Done) -> None:
-    """Count what the jobs drew and dropped as this scene's."""
-    for kind, found in done.invalid.items():
-        scene.invalid.add(kind, found.samples, found.invalid, found.first)
-
-
-def on_device(values: np.ndarray, scene: Scene) -> Any:
-    """Return sums as kernels take them: films and images as vectors, gradients as they are."""
-    if values.ndim == 1:
-        return values
-    scalar = wp.float64 if values.dtype == np.float64 else wp.float32
-    return wp.array(values, dtype=wp.types.vector(values.shape[-1], scalar), device=scene.device)
 
 
 def _engine(engine: Any, processes: int | None) -> Engine:

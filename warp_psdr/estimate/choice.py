@@ -49,7 +49,7 @@ REMEMBERED = 4096
 
 
 def choose(
-    scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int, given: wp.array
+    scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int, given: wp.array | None
 ) -> Plan:
     """Return the plan of a gradient whose method of the interior is left to the plan.
 
@@ -61,7 +61,7 @@ def choose(
         sensor: which camera.
         spp: samples a pixel.
         seed: of the call.
-        given: the adjoint, (H, W) of vec3, or the flat tangents.
+        given: the adjoint, (H, W) of vec3, or the flat tangents; None: the caller knows that no pilot is due.
     """
     if not plan.offered:
         return plan
@@ -72,7 +72,8 @@ def choose(
     call = (seed, checksum(scene.values))
     if call in found.plain:
         return choice.by(plan, None)
-    if not found.decided and found.spent >= SPENT:
+    if due(scene, plan, names):
+        assert given is not None
         decide(found, scene, plan, names, role, sensor, seed, given)
     if found.method is not None:
         return choice.by(plan, found.method)

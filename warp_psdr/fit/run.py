@@ -14,10 +14,10 @@ import math
 import os
 import signal
 import threading
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
@@ -33,6 +33,9 @@ from warp_psdr.plan.integrator import from_description
 from warp_psdr.plan.transient import require_steady
 from warp_psdr.progress import progress
 from warp_psdr.topology.mesh_checks import MeshWatch
+
+if TYPE_CHECKING:
+    from warp_psdr.distributed.pool import Pool
 
 __all__ = ["FitConfig", "FitResult", "Unknown", "fit"]
 
@@ -85,6 +88,14 @@ class Problem:
     device_targets: list[wp.array] = field(default_factory=list)
     #: Samples that were dropped before the run was resumed, by kind.
     dropped: dict[str, int] = field(default_factory=dict)
+    #: What renders; None: this process.
+    pool: Pool | None = None
+
+    def backward_all(self, views: Sequence[tuple[int, int, float]]) -> list[float]:
+        """Add the gradients of some views, (number, seed, weight) each, and return their losses."""
+        if self.pool is None:
+            return [self.backward(*view) for view in views]
+        return self.pool.views.backward(self, views)
 
     def backward(self, view: int, seed: int, weight: float) -> float:
         """Render a view, add the gradient of ``weight`` times its loss to the parameters' and return the loss."""
@@ -109,21 +120,14 @@ class Problem:
 
     def render(self, view: int, seed: int) -> np.ndarray:
         """Return a picture of a view as it is now, ``(H, W, 3)``, at the final sample count."""
-        image = psdr.render(
-            self.scene,
-            self.params,
-            sensor=self.config.views[view],
-            integrator=self.integrator,
-            spp=self.config.final_spp,
-            seed=seed,
-        )
-        return image.numpy()
+        render = psdr.render if self.pool is None else self.pool.render
+        options = {"sensor": self.config.views[view], "integrator": self.integrator, "seed": seed}
+        return render(self.scene, self.params, spp=self.config.final_spp, **options).numpy()
 
     def gradients(self, step: int) -> dict[str, np.ndarray]:
         """Return the gradient of the mean loss over all views, for pictures; leaves the parameters' gradients zero."""
         views = range(len(self.targets))
-        for view in views:
-            self.backward(view, _seed(self.config, step, view), 1.0 / len(views))
+        self.backward_all([(view, _seed(self.config, step, view), 1.0 / len(views)) for view in views])
         result = {name: self.params[name].grad.numpy().copy() for name in self.config.parameters}
         self.params.zero_grad()
         return result
@@ -144,7 +148,12 @@ class Problem:
 
 
 def fit(
-    config: FitConfig, *, resume: bool = False, overwrite: bool = False, iterations: int | None = None
+    config: FitConfig,
+    *,
+    resume: bool = False,
+    overwrite: bool = False,
+    iterations: int | None = None,
+    pool: Pool | None = None,
 ) -> FitResult:
     """Recover parameters from images.
 
@@ -156,6 +165,8 @@ def fit(
         resume: Continue from the checkpoint in the output folder, if there is one.
         overwrite: Start again although there is a checkpoint.
         iterations: Replaces that of ``config``.
+        pool: Processes that render the views (``psdr.distributed.Pool``); the bits do not depend on it. If it is lost,
+            a checkpoint of the last whole step is written.
 
     Returns:
         The recovered values; pictures, parameter files and a summary are in ``config.output``.
@@ -174,6 +185,7 @@ def fit(
     may_exist = resume or overwrite
     _require_free(path, may_exist)
     problem = load_problem(config)
+    problem.pool = pool
     adam = optim.Adam(
         problem.params,
         {name: unknown.lr for name, unknown in config.parameters.items()},
@@ -207,8 +219,13 @@ def _fit(problem: Problem, adam: optim.Adam, path: Path, *, resume: bool) -> Fit
     with _stop_requests() as stop, progress("fit", config.iterations, start=len(history)) as report:
         while len(history) < config.iterations:
             step = len(history)
-            with watch.step(step + 1):
-                history.append(_step(problem, adam, step))
+            try:
+                with watch.step(step + 1):
+                    history.append(_step(problem, adam, step))
+            except (RuntimeError, OSError):
+                if problem.pool is not None and history:  # the step has not changed anything yet
+                    _save(path, problem, adam, run, history)
+                raise
             report(step + 1, f"loss {history[-1]:.4g}")
             if stop.is_set() or (step + 1) % config.checkpoint_every == 0 or step + 1 == config.iterations:
                 _save(path, problem, adam, run, history)
@@ -294,8 +311,9 @@ def _step(problem: Problem, adam: optim.Adam, step: int) -> float:
     config = problem.config
     views = views_of_step(config, step)
     total = 0.0
-    for i, view in enumerate(views):  # a view may come twice, at the end of a round and at the start of the next
-        loss = problem.backward(view, _seed(config, step, i), 1.0 / len(views))
+    # A view may come twice, at the end of a round and at the start of the next.
+    losses = problem.backward_all([(view, _seed(config, step, i), 1.0 / len(views)) for i, view in enumerate(views)])
+    for view, loss in zip(views, losses, strict=True):
         if not math.isfinite(loss):
             raise ValueError(
                 f"loss of view {view} ({config.targets[view].name}) is {loss} at step {step + 1}; the last checkpoint "
