@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from warp_psdr.cli_output import FIT_KEYS, Version, fractions, notes
+from warp_psdr.cli_output import FIT_KEYS, Version, add_pool_options, fractions, notes, pool
 
 __all__ = ["main"]
 
@@ -63,6 +63,7 @@ def _parser() -> argparse.ArgumentParser:
     render = command("render", _render, "Render an image of a scene.")
     _scene_options(render)
     _sampling_options(render)
+    add_pool_options(render)
     render.add_argument(
         "-o",
         "--output",
@@ -79,6 +80,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     _scene_options(gradient)
     _sampling_options(gradient)
+    add_pool_options(gradient)
     gradient.add_argument(
         "--param",
         action="append",
@@ -134,6 +136,7 @@ def _parser() -> argparse.ArgumentParser:
     start.add_argument("--overwrite", action="store_true", help="start again although there is a checkpoint")
     fit.add_argument("--iterations", type=int, help="replaces that of the file")
     _worker_option(fit)
+    add_pool_options(fit)
 
     view = command("view", _view, "Show a scene in 3D, with gradients on its surfaces.")
     _scene_options(view)
@@ -197,15 +200,19 @@ def _render(arguments: argparse.Namespace) -> int:
 
     _prepare(arguments.output, *image_io.SUFFIXES)
     scene, integrator = _load(arguments)
-    with fractions("render") as progress:
-        image = psdr.render(
-            scene,
-            sensor=arguments.sensor,
-            integrator=integrator,
-            spp=arguments.spp,
-            seed=arguments.seed,
-            progress=progress,
-        ).numpy()
+    with pool(arguments) as processes, fractions("render") as progress:
+        image = (
+            (processes or psdr)
+            .render(
+                scene,
+                sensor=arguments.sensor,
+                integrator=integrator,
+                spp=arguments.spp,
+                seed=arguments.seed,
+                progress=progress,
+            )
+            .numpy()
+        )
     image_io.write_image(arguments.output, image)
     print(f"wrote {arguments.output}")
     return 0
@@ -220,20 +227,21 @@ def _gradient(arguments: argparse.Namespace) -> int:
     options = {"sensor": arguments.sensor, "integrator": integrator, "spp": arguments.spp, "seed": arguments.seed}
     _check_loss(arguments)
     arguments.output.mkdir(parents=True, exist_ok=True)
-    written = (_reverse if arguments.target else _forward)(arguments, scene, params, options)
+    with pool(arguments) as processes:
+        differentiate = _reverse if arguments.target else _forward
+        written = differentiate(arguments, processes or psdr, scene, params, options)
     for text in written:
         print(text)
     return 0
 
 
-def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
-    """Write the derivative of the image along the tangents."""
-    import warp_psdr as psdr
+def _forward(arguments: argparse.Namespace, by: Any, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
+    """Write the derivative of the image along the tangents, rendered by this process or a pool."""
     from warp_psdr import image_io, plots
 
     tangents = _tangents(arguments, params)
     with fractions("derivative") as progress:
-        image = psdr.render_forward(scene, params, tangents, progress=progress, **options).numpy()
+        image = by.render_forward(scene, params, tangents, progress=progress, **options).numpy()
     exr, png = arguments.output / "derivative.exr", arguments.output / "derivative.png"
     image_io.write_image(exr, image)
     title = "derivative of the image: " + ", ".join(params.requested)
@@ -241,14 +249,13 @@ def _forward(arguments: argparse.Namespace, scene: Any, params: Any, options: di
     return [f"wrote {exr}", f"wrote {png}"]
 
 
-def _reverse(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
-    """Write the gradient of a loss against the target."""
-    import warp_psdr as psdr
+def _reverse(arguments: argparse.Namespace, by: Any, scene: Any, params: Any, options: dict[str, Any]) -> list[str]:
+    """Write the gradient of a loss against the target, rendered by this process or a pool."""
     from warp_psdr.fit.report import write_gradients
 
-    loss, adjoint = _loss(arguments, scene, params, options)
+    loss, adjoint = _loss(arguments, by, scene, params, options)
     with fractions("gradient") as progress:
-        psdr.render_backward(scene, params, adjoint, progress=progress, **options)
+        by.render_backward(scene, params, adjoint, progress=progress, **options)
     gradients = {name: params[name].grad.numpy() for name in params.requested}
     notes = write_gradients(arguments.output, scene, params, gradients)
     return [f"{arguments.loss or DEFAULT_LOSS} loss {loss:.6g}", *notes, f"wrote gradients to {arguments.output}"]
@@ -259,18 +266,19 @@ def _check_loss(arguments: argparse.Namespace) -> None:
         raise ValueError("--loss compares with an image; give it by --target")
 
 
-def _loss(arguments: argparse.Namespace, scene: Any, params: Any, options: dict[str, Any]) -> tuple[float, Any]:
+def _loss(
+    arguments: argparse.Namespace, by: Any, scene: Any, params: Any, options: dict[str, Any]
+) -> tuple[float, Any]:
     """Return the loss against the target, and its derivative with respect to the image."""
     import warp as wp
 
-    import warp_psdr as psdr
     from warp_psdr import losses
     from warp_psdr.fit.run import read_target
 
     camera = scene.camera(arguments.sensor)
     target = read_target(arguments.target, (camera.crop_height, camera.crop_width))
     with fractions("image") as progress:
-        image = psdr.render(scene, params, progress=progress, **options)
+        image = by.render(scene, params, progress=progress, **options)
     image.requires_grad = True
     with wp.Tape() as tape:
         loss = getattr(losses, arguments.loss or DEFAULT_LOSS)(image, target)
@@ -296,7 +304,7 @@ def _accuracy(arguments: argparse.Namespace) -> int:
     if arguments.param:
         params.requires_grad(*arguments.param)
         if arguments.target is not None:
-            _value, adjoint = _loss(arguments, scene, params, options)
+            _value, adjoint = _loss(arguments, psdr, scene, params, options)
         else:
             tangents = _tangents(arguments, params)
     options |= {"seconds": arguments.seconds, "clock": arguments.clock}
@@ -344,7 +352,9 @@ def _fit(arguments: argparse.Namespace) -> int:
 
     config = FitConfig.from_file(arguments.config)
     psdr.set_workers(arguments.workers)
-    result = fit(config, resume=arguments.resume, overwrite=arguments.overwrite, iterations=arguments.iterations)
+    how = {"resume": arguments.resume, "overwrite": arguments.overwrite, "iterations": arguments.iterations}
+    with pool(arguments) as processes:
+        result = fit(config, pool=processes, **how)
     if not result.completed:
         print(f"stopped after step {len(result.losses)}; --resume continues from {result.output}")
         return EXIT_INTERRUPTED

@@ -71,6 +71,26 @@ def notes() -> Iterator[None]:
         yield
 
 
+def add_pool_options(parser: argparse.ArgumentParser) -> None:
+    """Add what renders: processes of this machine, or a cluster; neither: this process."""
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--processes", type=int, metavar="N", help="share the work among so many processes; same bits")
+    where.add_argument("--dask", metavar="ADDRESS", help="share it among the workers of a Dask scheduler; same bits")
+
+
+@contextmanager
+def pool(arguments: argparse.Namespace) -> Iterator[Any]:
+    """The pool that the options name; None: none."""
+    if arguments.dask is None and arguments.processes is None:
+        yield None
+        return
+    from warp_psdr.distributed import Pool
+
+    engine, processes = ("local", arguments.processes) if arguments.dask is None else (arguments.dask, None)
+    with Pool(engine, processes=processes) as found:
+        yield found
+
+
 @contextmanager
 def fractions(title: str) -> Iterator[Callable[[float], None]]:
     """Progress of a render, which reports finished fractions."""

@@ -49,6 +49,7 @@ from warp_psdr.workers import Share
 if TYPE_CHECKING:
     from distributed import Client
 
+    from warp_psdr.accuracy import report as accuracy
     from warp_psdr.distributed.fits import Views
     from warp_psdr.fit.config import FitConfig
     from warp_psdr.fit.run import FitResult
@@ -61,21 +62,24 @@ class Pool:
     """Processes that share the work of calls, with the bits of a call in this process.
 
     Args:
-        engine: what runs the jobs: a ``dask.distributed.Client``, any ``concurrent.futures.Executor`` of processes
-            (``mpi4py.futures`` has one), or "local" for processes on this machine.
+        engine: what runs the jobs: a ``dask.distributed.Client``, or the address of Dask's scheduler, "tcp://..."; any
+            ``concurrent.futures.Executor`` of processes (``mpi4py.futures`` has one); or "local" for processes on this
+            machine.
         processes: of "local"; default: one for every core.
         threads: of every job; default: of "local" and of a ``ProcessPoolExecutor`` the cores of this machine over the
             processes, elsewhere what a process has.
 
     Raises:
         ValueError: another engine, or a number of processes for an engine that has its own.
-        TypeError: an executor of threads, which would share a scene.
+        ImportError: an address, and Dask is not installed.
+        OSError: there is no scheduler at the address.
     """
 
     def __init__(
         self, engine: Client | Executor | str = "local", *, processes: int | None = None, threads: int | None = None
     ):
-        self._engine = _engine(engine, processes)
+        self._client = _connected(engine) if isinstance(engine, str) and engine != "local" else None
+        self._engine = _engine(self._client or engine, processes)
         if threads is None and isinstance(self._engine, Processes) and self._engine.here:
             threads = max(workers.workers() // self._engine.processes, 1)
         self._threads = threads
@@ -93,6 +97,8 @@ class Pool:
         if not self._closed:
             self._closed = True
             self._engine.close()
+            if self._client is not None:
+                self._client.close()
 
     @property
     def report(self) -> Report:
@@ -264,6 +270,40 @@ class Pool:
             return images[views.sensors[0]]
         return assembled(scene, views, lambda number, _told: images[number], None, signed=True)
 
+    def accuracy(
+        self,
+        scene: Scene,
+        params: Parameters | None = None,
+        adjoint=None,
+        *,
+        tangents: dict | None = None,
+        **options,
+    ) -> accuracy.Report:
+        """Measure what accuracy costs, as ``psdr.accuracy`` does, in one process of the pool: what it costs there.
+
+        Args:
+            scene: a loaded scene.
+            params: its parameters; with an adjoint after ``requires_grad``.
+            adjoint: as of ``psdr.accuracy``.
+            tangents: as of ``psdr.accuracy``.
+            **options: further arguments of ``psdr.accuracy``, but for ``progress``.
+
+        Returns:
+            The report, which budgets of this process take, too.
+
+        Raises:
+            ValueError: as ``psdr.accuracy``, or the pool is closed.
+        """
+        from warp_psdr.distributed.pilots import run_accuracy
+
+        self._check(scene, params)
+        names = [] if params is None else params.requested
+        if isinstance(adjoint, wp.array):
+            adjoint = adjoint.numpy()
+        if tangents is not None:
+            tangents = {name: t.numpy() if isinstance(t, wp.array) else t for name, t in tangents.items()}
+        return self.call(run_accuracy, scene, names, adjoint, tangents, options).result()
+
     def fit(
         self,
         config: FitConfig | str | Path,
@@ -417,6 +457,17 @@ class Pool:
             yield call, {kind: on_device(unpack(part), scene) for kind, part in done.parts.items()}
 
 
+def _connected(address: str) -> Client:
+    """Return a client of the scheduler at an address."""
+    if "://" not in address:
+        raise ValueError(f"engine: got {address!r}, expected 'local' or the address of a Dask scheduler, 'tcp://...'")
+    try:
+        from distributed import Client
+    except ImportError as error:
+        raise ImportError("a Dask scheduler needs dask.distributed: pip install 'warp-psdr[cluster]'") from error
+    return Client(address, set_as_default=False)
+
+
 def _engine(engine: Any, processes: int | None) -> Engine:
     if isinstance(engine, Executor):
         if processes is not None:
@@ -429,6 +480,6 @@ def _engine(engine: Any, processes: int | None) -> Engine:
             raise ValueError("processes: Dask's cluster has its own; leave them out")
         return Dask(engine)
     raise ValueError(
-        f"engine: got {engine!r}, expected a dask.distributed.Client (pip install 'warp-psdr[cluster]'), a "
-        "concurrent.futures.Executor, or 'local'"
+        f"engine: got {engine!r}, expected a dask.distributed.Client (pip install 'warp-psdr[cluster]') or its "
+        "scheduler's address, a concurrent.futures.Executor, or 'local'"
     )
