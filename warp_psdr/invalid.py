@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 import numpy as np
 import warp as wp
 
-from warp_psdr.device import shared_copy
+from warp_psdr.device import move_on, shared_copy
 from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM
 
@@ -162,13 +162,18 @@ def counting(
     counters = wp.zeros((shards, COUNTER_SIZE), dtype=wp.int64, device=scene.device)
     rows = wp.empty((shards, (ROOM + QUEUE_ROOM) * scene.accelerator.width), dtype=wp.uint32, device=scene.device)
     records: list[structs.Scene | None] = [None] * shards
+    first_shard: list[structs.Scene] = []
 
     def of_shard(data: structs.Scene, shard: int) -> structs.Scene:
         record = records[shard]
         if record is None:
-            record = shared_copy(data)
-            record.invalid = counters[shard]
-            record.rows = rows[shard]
+            if not first_shard:
+                template = shared_copy(data)
+                template.invalid, template.rows = counters[0], rows[0]
+                first_shard.append(template)
+            record = shared_copy(first_shard[0])
+            move_on(record, "invalid", shard * counters.strides[0])
+            move_on(record, "rows", shard * rows.strides[0])
             records[shard] = record
         return record
 

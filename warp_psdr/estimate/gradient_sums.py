@@ -39,6 +39,7 @@ class GradientSums:
         own = share.of(self.shards) if scene.device.is_cpu else range(1)
         self._first = own.start
         self._sums = _zeros((max(len(own), 1), self._size), np.float64, scene.device)
+        self._buffers: dict[int, wp.array] = {}
         ranges = [(scene.parameters[n].offset, scene.parameters[n].size) for n in names]
         self._ranges = _united(ranges + derived_ranges(scene, names))
 
@@ -52,8 +53,12 @@ class GradientSums:
             shard: of the launch.
             shards: of the launch, a power of two; None: as many as these sums have.
         """
-        row = self._sums[shard * self.shards // (shards or self.shards) - self._first]
-        return wp.array(ptr=row.ptr, dtype=wp.float32, shape=(2 * self._size,), device=self._scene.device, copy=False)
+        lane = shard * self.shards // (shards or self.shards) - self._first
+        if lane not in self._buffers:
+            shape, device = (2 * self._size,), self._scene.device
+            ptr = self._sums.ptr + lane * self._sums.strides[0]
+            self._buffers[lane] = wp.array(ptr=ptr, dtype=wp.float32, shape=shape, device=device, copy=False)
+        return self._buffers[lane]
 
     def total(self) -> np.ndarray:
         """Return the sum over the shards, float64, of all values that gradients are pulled from, one after the other.
