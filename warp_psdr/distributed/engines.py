@@ -82,6 +82,9 @@ class Engine(Protocol):
     def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
         """Run jobs, a power of two, and return what gives the merged result; ``told`` is called as each is done."""
 
+    def send(self, data: Parcel) -> None:
+        """Send data ahead of the job that needs it, where that is possible."""
+
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Run any function, and again if its process is lost."""
 
@@ -170,6 +173,9 @@ class Processes:
                 executor = self._renewed(executor)
                 future = executor.submit(function, *arguments)
         future.add_done_callback(functools.partial(arrived, executor))
+
+    def send(self, data: Parcel) -> None:
+        """Do nothing: executors do not say which process would get it."""
 
     def close(self) -> None:
         """End the executor if it is the engine's own."""
@@ -322,6 +328,10 @@ class Dask:
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Run any function; as of ``Engine``."""
         return self._client.get_executor(pure=False).submit(function, *arguments)
+
+    def send(self, data: Parcel) -> None:
+        """Send data to the scheduler, and from there to a worker."""
+        self._parcel(data)
 
     def close(self) -> None:
         """Let go of the data on the workers."""

@@ -41,12 +41,15 @@ class Views:
         self._pool = pool
         self._targets: weakref.WeakKeyDictionary[Problem, dict[int, Parcel]] = weakref.WeakKeyDictionary()
 
-    def backward(self, problem: Problem, views: Sequence[tuple[int, int, float]]) -> list[float]:
+    def backward(
+        self, problem: Problem, views: Sequence[tuple[int, int, float]], following: Sequence[int]
+    ) -> list[float]:
         """Add the gradients of some views' losses to the parameters', as ``Problem.backward`` does one after the other.
 
         Args:
             problem: the fit's.
             views: (number, seed, weight) of each.
+            following: the views of the next step, whose targets are sent meanwhile.
 
         Returns:
             Their losses.
@@ -76,6 +79,8 @@ class Views:
             view = jobs.View(image, spp_grad, config.loss, weight, target.digest)
             job = Job(jobs.view, (self._pool.setting(), view), (whole, change, target))
             waiting.append(self._pool.run(job))
+        for number in following:
+            self._pool.send(self.target(problem, number))
         return found + self._taken(problem, waiting)
 
     def target(self, problem: Problem, view: int) -> Parcel:

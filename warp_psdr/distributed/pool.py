@@ -373,6 +373,10 @@ class Pool:
         base, whole = self._bases[scene]
         return whole, parcel(changed(base, scene))
 
+    def send(self, data: Parcel) -> None:
+        """Send data ahead of the job that needs it, where that is possible."""
+        self._engine.send(data)
+
     def run(self, job: Job) -> Pending:
         """Run one job."""
         return self._engine.tree([job], lambda: None)

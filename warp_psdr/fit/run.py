@@ -91,11 +91,14 @@ class Problem:
     #: What renders; None: this process.
     pool: Pool | None = None
 
-    def backward_all(self, views: Sequence[tuple[int, int, float]]) -> list[float]:
-        """Add the gradients of some views, (number, seed, weight) each, and return their losses."""
+    def backward_all(self, views: Sequence[tuple[int, int, float]], following: Sequence[int] = ()) -> list[float]:
+        """Add the gradients of some views, (number, seed, weight) each, and return their losses.
+
+        ``following``: the views of the next step, whose targets a pool sends meanwhile.
+        """
         if self.pool is None:
             return [self.backward(*view) for view in views]
-        return self.pool.views.backward(self, views)
+        return self.pool.views.backward(self, views, following)
 
     def backward(self, view: int, seed: int, weight: float) -> float:
         """Render a view, add the gradient of ``weight`` times its loss to the parameters' and return the loss."""
@@ -312,7 +315,8 @@ def _step(problem: Problem, adam: optim.Adam, step: int) -> float:
     views = views_of_step(config, step)
     total = 0.0
     # A view may come twice, at the end of a round and at the start of the next.
-    losses = problem.backward_all([(view, _seed(config, step, i), 1.0 / len(views)) for i, view in enumerate(views)])
+    seeded = [(view, _seed(config, step, i), 1.0 / len(views)) for i, view in enumerate(views)]
+    losses = problem.backward_all(seeded, views_of_step(config, step + 1))
     for view, loss in zip(views, losses, strict=True):
         if not math.isfinite(loss):
             raise ValueError(
