@@ -6,17 +6,26 @@ first. Its root is a ``concurrent.futures.Future``.
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
-import signal
 import threading
+import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ProcessPoolExecutor
+from concurrent.futures import (
+    BrokenExecutor,
+    CancelledError,
+    Executor,
+    Future,
+    InvalidStateError,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from warp_psdr import workers
-from warp_psdr.distributed.jobs import KEPT_BYTES, Done, Missing, merge
+from warp_psdr.distributed.jobs import KEPT_BYTES, Done, JobError, Missing, attend, attended, merge
 from warp_psdr.distributed.traffic import Traffic
 from warp_psdr.distributed.wire import Parcel, Store
 
@@ -29,8 +38,8 @@ SMALL = 1 << 16
 LARGE = 8 << 20
 #: Seconds that a process has to end by itself.
 PATIENCE = 5.0
-#: Arguments by which ``signal.signal`` ignores Ctrl-C.
-IGNORED = (signal.SIGINT, signal.SIG_IGN)
+#: Seconds between two looks at a client that looks for its scheduler.
+LOOK = 0.1
 #: Times that a job is sent again after its process was lost, without any other having been done meanwhile.
 LOSSES = 5
 
@@ -112,7 +121,7 @@ class _Tree:
             done = merge(done, other) if number < number ^ width else merge(other, done)
             number &= ~width
             width *= 2
-        if not self._root.done():
+        with contextlib.suppress(InvalidStateError):  # cancelled meanwhile
             self._root.set_result(done)
 
 
@@ -122,9 +131,17 @@ class Processes:
     Args:
         executor: of ``concurrent.futures``, or one like it; None: a ``ProcessPoolExecutor`` of its own.
         count: processes of that.
+
+    Raises:
+        TypeError: an executor of threads.
     """
 
     def __init__(self, executor: Executor | None, count: int | None):
+        if isinstance(executor, ThreadPoolExecutor):
+            raise TypeError(
+                f"engine: got a {type(executor).__name__}, expected an executor of processes: a call has all cores of "
+                "this process already, without a pool"
+            )
         self._own = executor is None
         #: Whether the processes share this machine's cores.
         self.here = executor is None or isinstance(executor, ProcessPoolExecutor)
@@ -162,17 +179,23 @@ class Processes:
                     self._called(result, function, arguments)
                 except Exception as problem:
                     _fail(result, problem)
-            except (Exception, CancelledError) as error:
+            except BaseException as error:
                 _fail(result, error)
 
+        executor, future = self._sent(function, *arguments)
+        future.add_done_callback(functools.partial(arrived, executor))
+
+    def _sent(self, function: Callable[..., Any], *arguments: Any) -> tuple[Executor, Future]:
+        """Submit a function, and return what runs it."""
+        if self.here:
+            function, arguments = attended, (function, *arguments)
         with self._lock:
             executor = self._executor
             try:
-                future = executor.submit(function, *arguments)
+                return executor, executor.submit(function, *arguments)
             except BrokenExecutor:
                 executor = self._renewed(executor)
-                future = executor.submit(function, *arguments)
-        future.add_done_callback(functools.partial(arrived, executor))
+                return executor, executor.submit(function, *arguments)
 
     def send(self, data: Parcel) -> None:
         """Do nothing: executors do not say which process would get it."""
@@ -183,8 +206,9 @@ class Processes:
             return
         processes = list((getattr(self._executor, "_processes", None) or {}).values())
         self._executor.shutdown(wait=False, cancel_futures=True)
+        end = time.monotonic() + PATIENCE
         for process in processes:
-            process.join(PATIENCE)
+            process.join(max(end - time.monotonic(), 0.0))
             # One that was killed while it waited for a job keeps the lock of the others, and these wait for ever.
             if process.is_alive():
                 process.kill()
@@ -199,13 +223,7 @@ class Processes:
             data[parcel.digest] = parcel.data if send else None
             self._times_sent[parcel.digest] = times + send
             self.traffic.sent += len(parcel.data) * send
-        with self._lock:
-            executor = self._executor
-            try:
-                future = executor.submit(job.function, *job.arguments, data)
-            except BrokenExecutor:
-                executor = self._renewed(executor)
-                future = executor.submit(job.function, *job.arguments, data)
+        executor, future = self._sent(job.function, *job.arguments, data)
         pending.jobs.append(future)
         future.add_done_callback(functools.partial(arrived, executor))
 
@@ -240,21 +258,25 @@ class Processes:
                 self._submit(job, again, pending, ())
             except Exception as problem:
                 _fail(pending.root, problem)
-        except (Exception, CancelledError) as error:
+        except BaseException as error:  # also Ctrl-C in that process
             _fail(pending.root, error)
 
     def _lost(self, executor: Executor, error: BrokenExecutor) -> None:
         """Mend an executor that has lost a process.
 
         Raises:
-            BrokenExecutor: it was lost again and again, or cannot be mended.
+            JobError: processes were lost again and again.
+            BrokenExecutor: it cannot be mended.
         """
         with self._lock:
             self.traffic.lost += 1
             if self._executor is executor:
                 self._losses += 1
                 if self._losses > LOSSES:
-                    raise error
+                    raise JobError(
+                        f"{self._losses} times in a row a process ended before its job was done ({error}); is there "
+                        "enough memory for so many processes?"
+                    )
                 self._renewed(executor)
 
     def _renewed(self, executor: Executor) -> Executor:
@@ -275,12 +297,12 @@ class Processes:
 
 
 def _processes(count: int | None) -> ProcessPoolExecutor:
-    """Return processes that leave Ctrl-C to this one."""
-    return ProcessPoolExecutor(count or workers.workers(), initializer=signal.signal, initargs=IGNORED)
+    """Return processes that leave Ctrl-C to this one, and end with it."""
+    return ProcessPoolExecutor(count or workers.workers(), initializer=attend)
 
 
 def _fail(root: Future, error: BaseException) -> None:
-    if not root.done():
+    with contextlib.suppress(InvalidStateError):  # done meanwhile
         root.set_exception(error)
 
 
@@ -295,11 +317,12 @@ class Dask:
         self._client = client
         self.traffic = Traffic()
         self._parcels = Store(KEPT_BYTES)
+        self._lock = threading.Lock()
 
     @property
     def processes(self) -> int:
         """The workers that are there now."""
-        return max(len(self._client.scheduler_info(n_workers=-1)["workers"]), 1)
+        return max(len(self._client.scheduler_info(n_workers=-1).get("workers", ())), 1)
 
     def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
         """Run jobs; as of ``Engine``."""
@@ -308,22 +331,6 @@ class Dask:
         pending = Pending(root)
         self._grow(jobs, told, pending, LOSSES)
         return pending
-
-    def _grow(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int) -> None:
-        """Send all jobs of a tree."""
-        level = []
-        for job in jobs:
-            data = [self._parcel(parcel) for parcel in job.parcels]
-            digests = tuple(parcel.digest for parcel in job.parcels)
-            leaf = self._client.submit(_run, job.function, job.arguments, digests, data, pure=False)
-            leaf.add_done_callback(functools.partial(_told, told))
-            pending.jobs.append(leaf)
-            level.append(leaf)
-        while len(level) > 1:
-            pairs = zip(level[::2], level[1::2], strict=True)
-            level = [self._client.submit(merge, a, b, pure=False) for a, b in pairs]
-        pending.jobs.append(level[0])
-        level[0].add_done_callback(functools.partial(self._arrived, jobs, told, pending, more))
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Run any function; as of ``Engine``."""
@@ -335,18 +342,40 @@ class Dask:
 
     def close(self) -> None:
         """Let go of the data on the workers."""
-        self._parcels = Store(KEPT_BYTES)
+        with self._lock:
+            self._parcels = Store(KEPT_BYTES)
+
+    def _grow(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int) -> None:
+        """Send all jobs of a tree; ``more``: how often they may be sent again."""
+        try:
+            level = []
+            for job in jobs:
+                data = [self._parcel(parcel) for parcel in job.parcels]
+                digests = tuple(parcel.digest for parcel in job.parcels)
+                leaf = self._client.submit(_run, job.function, job.arguments, digests, data, pure=False)
+                leaf.add_done_callback(functools.partial(_told, told))
+                level.append(leaf)
+            pending.jobs = list(level)
+            while len(level) > 1:
+                pairs = zip(level[::2], level[1::2], strict=True)
+                level = [self._client.submit(merge, a, b, pure=False) for a, b in pairs]
+            pending.jobs.append(level[0])
+            level[0].add_done_callback(functools.partial(self._arrived, jobs, told, pending, more))
+        except Exception as error:
+            _fail(pending.root, self._gone(error))
 
     def _parcel(self, parcel: Parcel) -> Any:
-        if parcel.digest in self._parcels:
-            return self._parcels.get(parcel.digest)
-        if len(parcel.data) <= LARGE:
-            future = self._client.submit(_given, parcel.data, pure=False)
-        else:
-            future = self._client.scatter([parcel.data], broadcast=True, hash=False)[0]
-        self._parcels.put(parcel.digest, future, len(parcel.data))
-        self.traffic.sent += len(parcel.data)
-        return future
+        """Return data as Dask's tasks take it."""
+        with self._lock:
+            if parcel.digest in self._parcels:
+                return self._parcels.get(parcel.digest)
+            if len(parcel.data) <= LARGE:
+                future = self._client.submit(_given, parcel.data, pure=False)
+            else:
+                future = self._client.scatter([parcel.data], broadcast=True, hash=False)[0]
+            self._parcels.put(parcel.digest, future, len(parcel.data))
+            self.traffic.sent += len(parcel.data)
+            return future
 
     def _arrived(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int, future: Any) -> None:
         """Take a tree's result, on a thread of Dask's; send all of it again if Dask has given it up."""
@@ -357,21 +386,37 @@ class Dask:
             return
         try:
             done = future.result()
-        except (KilledWorker, FutureCancelledError) as error:
-            if not more or self._client.status != "running":
-                _fail(pending.root, error)
-                return
-            self.traffic.lost += 1
-            self.close()
-            threading.Thread(target=self._grow, args=(jobs, told, pending, more - 1)).start()
-            return
+            self.traffic.jobs += len(jobs)
+            self.traffic.received += done.nbytes
+            self.traffic.seconds += done.seconds
+            with contextlib.suppress(InvalidStateError):  # cancelled meanwhile
+                pending.root.set_result(done)
+        except FutureCancelledError as error:  # its scheduler was out of reach, or data that it needs is lost
+            arguments = (jobs, told, pending, more, error)
+            threading.Thread(target=self._grow_again, args=arguments, daemon=True).start()
+        except KilledWorker as error:
+            _fail(pending.root, JobError(f"Dask has given up a job that ended one worker after the other: {error}"))
         except BaseException as error:
             _fail(pending.root, error)
-            return
-        self.traffic.jobs += len(jobs)
-        self.traffic.received += done.nbytes
-        self.traffic.seconds += done.seconds
-        pending.root.set_result(done)
+
+    def _grow_again(
+        self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int, error: Exception
+    ) -> None:
+        """Send a tree again, with all data, once the client has found its scheduler; Dask's client gives up in time."""
+        while self._client.status == "connecting" and not pending.root.done():
+            time.sleep(LOOK)
+        if not more or self._client.status != "running":
+            _fail(pending.root, self._gone(error))
+        elif not pending.root.done():
+            self.traffic.lost += 1
+            self.close()
+            self._grow(jobs, told, pending, more - 1)
+
+    def _gone(self, error: Exception) -> JobError:
+        return JobError(
+            f"Dask does not run the jobs ({type(error).__name__}: {error}); its client is {self._client.status}. "
+            "Connect a client to a scheduler that runs, and make a new pool"
+        )
 
 
 def _run(function: Callable[..., Done], arguments: tuple, digests: tuple[str, ...], data: list[bytes]) -> Done:

@@ -7,9 +7,12 @@ time in a process: threads of Dask's wait for each other, and the job that runs 
 from __future__ import annotations
 
 import contextlib
+import functools
+import multiprocessing
 import os
 import pickle
 import platform
+import signal
 import threading
 import time
 import traceback
@@ -21,7 +24,7 @@ import numpy as np
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr import losses, workers
+from warp_psdr import forks, losses, workers
 from warp_psdr.distributed.values import Changed, restore
 from warp_psdr.distributed.wire import Packed, Store, pack, unpack
 from warp_psdr.estimate import calls
@@ -156,6 +159,8 @@ class Missing:
 
 _lock = threading.Lock()
 _data = Store(KEPT_BYTES)
+#: What the job that runs was given, by digest: it stays also if it is larger than all that is kept.
+_given: dict[str, bytes] = {}
 _scenes = Store(SCENES)
 #: (digest of the scene, of what has changed): what each scene holds now.
 _holds: dict[str, str] = {}
@@ -207,6 +212,30 @@ def alone() -> Iterator[None]:
         yield
 
 
+def attended(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function in a process of an executor, after ``attend``."""
+    attend()
+    return function(*arguments)
+
+
+@functools.cache
+def attend() -> None:
+    """Leave Ctrl-C to the process that started this one, and end with it, also if it is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        threading.Thread(target=_follow, args=(parent,), daemon=True).start()
+
+
+#: A process that is forked has another parent, and no thread that follows it.
+forks.in_child(attend.cache_clear)
+
+
+def _follow(parent: Any) -> None:
+    parent.join()
+    os._exit(1)
+
+
 def named() -> str:
     """Return this process's name, for errors."""
     return f"process {os.getpid()} on {platform.node()}"
@@ -214,6 +243,7 @@ def named() -> str:
 
 def _run(setting: Setting, what: str, given: Mapping[str, bytes | None], job: Callable[[], Done]) -> Done | Missing:
     """Run a job in a process that agrees with the pool and has all its data."""
+    global _given
     here = Setting.here(setting.threads)
     if (here.version, here.warp) != (setting.version, setting.warp):
         raise JobError(
@@ -224,11 +254,11 @@ def _run(setting: Setting, what: str, given: Mapping[str, bytes | None], job: Ca
         missing = tuple(digest for digest, data in given.items() if data is None and digest not in _data)
         if missing:
             return Missing(missing)
-        for digest, data in given.items():
-            if digest not in _data:
-                assert data is not None
-                _data.put(digest, data, len(data))
-        if here.width != setting.width:
+        kept = {digest: _data.get(digest) for digest in given if digest in _data}
+        _given = {digest: data for digest, data in given.items() if data is not None} | kept
+        for digest in _given.keys() - kept.keys():
+            _data.put(digest, _given[digest], len(_given[digest]))
+        if vector_width() != setting.width:
             set_vector_width(setting.width)
         if setting.threads is not None and setting.threads != workers.workers():
             workers.set_workers(setting.threads)
@@ -303,7 +333,7 @@ def _counted(scene: Scene, before: dict[str, tuple[int, int]]) -> dict[str, Coun
 
 
 def _value(digest: str) -> Any:
-    return pickle.loads(_data.get(digest))
+    return pickle.loads(_given[digest])
 
 
 def _scene_of(call: Call) -> Scene:
