@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from distributed import Client
 
 #: Data up to this size goes with every job that needs it; larger data goes to a process once.
-SMALL = 1 << 16
+SMALL = 1 << 12
 #: Data from this size on is copied between Dask's workers; it has to be sent anew if all that have it are lost.
 LARGE = 8 << 20
 #: Seconds that a process has to end by itself.

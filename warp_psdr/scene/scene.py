@@ -79,6 +79,7 @@ class Scene:
         description: SceneDescription,
         device: str | wp.Device | None = None,
         ahead: Iterable[Callable[[Scene], None]] = (),
+        rays: tuple[str | None, int | None] = (None, None),
     ):
         """Build the device records.
 
@@ -86,6 +87,8 @@ class Scene:
             description: What the readers produced.
             device: Warp device, "cpu" or "cuda:0"; None: Warp's current one.
             ahead: called with this scene where its own kernels have to be compiled, to begin others beside them.
+            rays: what traces its rays, and the width of vectors; None: what ``set_ray_backend`` and
+                ``set_vector_width`` say.
         """
         self.device = device_named(device)
         self.description = description
@@ -124,7 +127,7 @@ class Scene:
         self._media = Media()
         self._media.records = struct_array(Medium, builder.media, self.device)
         self._media.sides = wp.array(builder.sides or [(c.NO_INTERFACE,) * 2], dtype=wp.vec2i, device=self.device)
-        self.accelerator = Accelerator(self._points, self.indices, self.device, built=False)
+        self.accelerator = self._accelerator(self.indices, *rays, built=False)
         self._rows = wp.empty((ROOM + QUEUE_ROOM) * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
@@ -173,7 +176,18 @@ class Scene:
         """Return what a copy, or another process, makes the same scene of: its description and its values."""
         self.settle()
         state = State(self.values.numpy(), self.poses.state())
-        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, state)
+        return _loaded_again, (self.description, self.device.alias, self.contact_ratio, state, self._rays)
+
+    @property
+    def _rays(self) -> tuple[str, int | None]:
+        """What traces the scene's rays, and the width of its vectors."""
+        wide = self.accelerator.backend == "wide"
+        return self.accelerator.backend, self.accelerator.width if wide else None
+
+    def _accelerator(
+        self, indices: wp.array, backend: str | None, width: int | None, *, built: bool = True
+    ) -> Accelerator:
+        return Accelerator(self._points, indices, self.device, backend, width=width, built=built)
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -221,7 +235,7 @@ class Scene:
         if self._sight is None:
             shown = np.where(self.luminous[:, None], 0, self.builder.indices).astype(np.int32)
             indices = wp.array(shown.reshape(-1), dtype=wp.int32, device=self.device)
-            self._sight = Accelerator(self._points, indices, self.device, self.accelerator.backend)
+            self._sight = self._accelerator(indices, *self._rays)
 
     def data(self) -> structs.Scene:
         """Return the kernel argument.
@@ -453,9 +467,11 @@ class Scene:
         return self.has_use(names, NORMALS, SHAPE_POSE) or bool(derived)
 
 
-def _loaded_again(description: SceneDescription, device: str, contact_ratio: float, state: State) -> Scene:
-    """Return a scene with the values of another one, which may have lived in another process."""
-    scene = Scene(description, device)
+def _loaded_again(
+    description: SceneDescription, device: str, contact_ratio: float, state: State, rays: tuple[str, int | None]
+) -> Scene:
+    """Return a scene with the values of another one, which may have lived in another process, with its bits."""
+    scene = Scene(description, device, rays=rays)
     scene.contact_ratio = contact_ratio
     scene.restore(state)
     return scene
