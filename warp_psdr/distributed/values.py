@@ -33,12 +33,12 @@ class Changed:
 
 def changed(base: State, scene: Scene) -> Changed:
     """Return how a scene differs from a state of it."""
-    now = scene.state()
-    # As bits: what is not a number differs from itself, and zeros have signs.
-    differs = base.values.view(np.uint32) != now.values.view(np.uint32)
-    local = {shape: held for shape, held in _plain(now).items() if not _equal(held, _plain(base).get(shape))}
+    values = scene.values.numpy()
+    differs = _bits(base.values) != _bits(values)
+    before, now = (_plain(State(values, held)) for held in (base.local, scene.poses.state()))
+    local = {shape: held for shape, held in now.items() if not _equal(held, before.get(shape))}
     places = pack(np.packbits(differs)) if differs.any() else None
-    return Changed(places, now.values[differs], local, scene.contact_ratio)
+    return Changed(places, values[differs], local, scene.contact_ratio)
 
 
 def restore(base: State, scene: Scene, change: Changed) -> None:
@@ -60,4 +60,9 @@ def _plain(state: State) -> dict[int, Any]:
 def _equal(held: Any, other: Any) -> bool:
     if isinstance(held, tuple):
         return isinstance(other, tuple) and all(_equal(a, b) for a, b in zip(held, other, strict=True))
-    return isinstance(other, np.ndarray) and held.tobytes() == other.tobytes()
+    return isinstance(other, np.ndarray) and np.array_equal(_bits(held), _bits(other))
+
+
+def _bits(values: np.ndarray) -> np.ndarray:
+    """Return numbers as they are stored: what is not a number equals itself, and zeros have signs."""
+    return values.view(np.uint32 if values.itemsize == 4 else np.uint64)

@@ -30,6 +30,7 @@ from warp_psdr.topology.patches import patch_radii
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.gradient_sums import GradientSums
+    from warp_psdr.kernels.jobs import PixelJob
     from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan.plan import Plan
     from warp_psdr.plan.replay import Kept
@@ -370,14 +371,16 @@ def launch_pass(
     shards = shards if scene.device.is_cpu else 1
     # A record for every lane: the launches of one lane follow each other, those of several run side by side.
     template = samples.job(order)
-    jobs = [shared_copy(template) for _ in range(shards)]
-    for shard, row in (first_film_rows or {}).items():
-        jobs[shard].first_film_row = row
+    jobs: dict[int, PixelJob] = {}
 
     with counting(scene, kind, count * samples.samples, shards, (raster[0], samples.margin)) as of_shard:
 
         def arguments(first: int, n: int, shard: int) -> tuple[list, list]:
-            job = jobs[shard]
+            job = jobs.get(shard)
+            if job is None:
+                job = jobs[shard] = shared_copy(template)
+                if first_film_rows is not None:
+                    job.first_film_row = first_film_rows[shard]
             job.first_pixel, job.pixel_count = first, n
             return [of_shard(data, shard), camera, *reads, job], outputs(shard)
 
