@@ -6,8 +6,8 @@
 threads. "job" renders 8 x 8 pixels with one sample, so that nearly all of the time is what a job costs beside its work.
 "bytes" edits all values of a parameter and asks for a gradient. "scheduler" runs tiny jobs on more and more workers;
 Dask's scheduler is a process of its own there, whose processor time a job says how many jobs a second it can serve.
-"plan" computes from these what a thousand workers do; it reads the other parts from the file of ``--output``. Dask is
-optional: without it, its rows are left out.
+"plan" computes from these what a thousand workers do; it reads the other parts from a file that ``--output`` wrote.
+Dask is optional: without it, its rows are left out.
 """
 
 import contextlib
@@ -442,6 +442,7 @@ def main() -> None:
     """Measure and print the tables."""
     parser = arguments(__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--measured", type=Path, help="file that the plan reads; default: that of --output")
     parser.add_argument("--engines", nargs="+", choices=ENGINES, default=ENGINES)
     options = parser.parse_args()
     options.repeat = options.repeat or (3 if options.quick else 5)
@@ -453,8 +454,9 @@ def main() -> None:
     for name, measure in (("fit", fit), ("job", job), ("bytes", wire), ("scheduler", scheduler)):
         if name in options.parts:
             measure(report, options)
-    if "plan" in options.parts and options.output is not None:
-        plan(report, options.output)
+    source = options.measured or options.output
+    if "plan" in options.parts and source is not None:
+        plan(report, source)
 
 
 if __name__ == "__main__":
