@@ -38,6 +38,9 @@ ENGINES = ("processes", "Dask")
 TEXTURE, VERTICES = "ball.bsdf.reflectance.data", "ball.vertex_positions"
 #: Rows and columns of the ball's mesh, 2 * 224 * 224 triangles.
 ROWS = 224
+#: Titles of the tables that the plan reads.
+JOB, SUMS = "A job of 8² pixels and one sample", "Two shares of half of it are added up"
+SCHEDULER = "Tiny jobs on Dask, workers share the cores"
 #: Workers that are planned for, and the share of a call that its overhead may take.
 PLANNED, SHARE = 1000, 0.1
 
@@ -207,7 +210,7 @@ def fit(report: Report, options: Namespace) -> None:
         same = {n: np.array_equal(p.params[TEXTURE].numpy(), problems["threads"].params[TEXTURE].numpy())
                 for n, p in problems.items()}  # fmt: skip
         rows = [row | {"equal bits": same[row["two processes"]]} for row in rows]
-    title = f"A fit of a texture, {views} views of {resolution}² pixels, {spp} samples, medians of {options.repeat}"
+    title = f"A fit of a texture, {views} views of {resolution}² pixels, {spp} samples"
     report.table(title, rows)
 
 
@@ -283,7 +286,7 @@ def job(report: Report, options: Namespace) -> None:
                 row = {"jobs run by": name, "processes": processes, "jobs a call": jobs // calls}
                 row |= {"work, ms": statistics.median(works), "beside it, ms": statistics.median(costs)}
                 rows.append(row | {"from, to": f"{min(costs):.2g} to {max(costs):.2g}"})
-    report.table(f"A job of 8² pixels and one sample, medians of {options.repeat}", rows)
+    report.table(JOB, rows)
 
 
 def wire(report: Report, options: Namespace) -> None:
@@ -327,7 +330,7 @@ def wire(report: Report, options: Namespace) -> None:
     for texels in (64, 1024):
         gradient = np.ones(3 * texels**2)
         rows.append(merged(f"gradient by a texture of {texels}²", gradient, gradient, options.repeat))
-    report.table(f"Two neighbouring shares are added up, medians of {options.repeat}", rows)
+    report.table(SUMS, rows)
 
 
 def merged(what: str, one: np.ndarray, other: np.ndarray, repeat: int) -> dict:
@@ -370,7 +373,7 @@ def scheduler(report: Report, options: Namespace) -> None:
     cameras, rows = 16 if options.quick else 64, []
     scene = psdr.load_dict(ball(4, 8, cameras, 4))
     psdr.render(scene, spp=1)  # kernels
-    for count in (2, 8) if options.quick else (2, 8, 32):
+    for count in options.workers or ((2, 8) if options.quick else (2, 8, 32)):
         with cluster(count) as (client, process):
             pool = psdr.distributed.Pool(client, threads=1)
 
@@ -388,26 +391,29 @@ def scheduler(report: Report, options: Namespace) -> None:
                 found.append((jobs / wall, 1e3 * (used() - theirs) / jobs, 1e3 * (time.process_time() - mine) / jobs))
             speed, theirs, mine = (statistics.median(column) for column in zip(*found, strict=True))
             row = {"workers": count, "jobs a call": jobs, "jobs a second": speed}
-            row |= {"scheduler, ms of a processor a job": theirs, "caller, ms of a processor a job": mine}
-            rows.append(row | {"jobs a second, at most": 1e3 / max(theirs, mine)})
-    report.table(f"Tiny jobs on Dask, workers share the cores, medians of {options.repeat}", rows)
+            tasks = 2.0 - cameras / jobs  # a tree of n jobs has n - 1 additions
+            row |= {"tasks a job": tasks, "scheduler, processor ms a task": theirs / tasks}
+            row |= {"caller, processor ms a task": mine / tasks}
+            rows.append(row | {"tasks a second, at most": 1e3 * tasks / max(theirs, mine)})
+    report.table(SCHEDULER, rows)
 
 
 def measured(file: Path) -> dict[str, list[dict]]:
-    """Return the rows of a file by the first word of their tables."""
+    """Return the rows of a file by their tables."""
     found: dict[str, list[dict]] = {}
     for line in file.read_text(encoding="utf-8").splitlines():
         row = json.loads(line)
-        found.setdefault(row["table"].split()[0], []).append(row)
+        found.setdefault(row["table"], []).append(row)
     return found
 
 
 def plan(report: Report, file: Path) -> None:
     """What a thousand workers do, by the other parts' numbers."""
     found = measured(file)
-    speed = found["Tiny"][-1]["jobs a second, at most"]
-    sums = {row["sum"]: row for row in found["Two"]}
-    latency = max(row["beside it, ms"] for row in found["A"] if row.get("jobs run by") == "Dask") / 1e3
+    speed = found[SCHEDULER][-1]["tasks a second, at most"]
+    sums = {row["sum"]: row for row in found[SUMS]}
+    # Of a tiny call: what is not work.
+    latency = max(row["beside it, ms"] * row["jobs a call"] for row in found[JOB] if row["jobs run by"] == "Dask") / 1e3
     rows = []
     for what, result, numbers, cameras, views in (
         ("image of 1024², one camera", "image of 1024²", 3 * 1024**2, 1, False),
@@ -421,7 +427,7 @@ def plan(report: Report, file: Path) -> None:
         shards = workers.SHARDS if result.startswith("image") else workers.shard_count(numbers)
         each = 1 if views else min(shards, workers.below(max(2 * math.ceil(4 * PLANNED / cameras) - 1, 1)))
         jobs, depth = cameras * each, int(math.log2(each))
-        overhead = jobs / speed + latency + depth * sums[result]["ms"] / 1e3
+        overhead = (2 * jobs - cameras) / speed + latency + depth * sums[result]["ms"] / 1e3
         busy = min(jobs, PLANNED)
         rows.append(
             {
@@ -430,7 +436,8 @@ def plan(report: Report, file: Path) -> None:
                 "jobs": jobs,
                 "workers busy": busy,
                 "levels": depth,
-                "to the caller, MB": cameras * sums[result]["sum, MB"],
+                # A view's gradient is single precision, a share's double.
+                "to the caller, MB": cameras * sums[result]["sum, MB"] * (0.5 if views else 1.0),
                 "overhead, seconds": overhead,
                 "pays from, core-seconds": overhead / SHARE * busy,
             }
@@ -442,6 +449,7 @@ def main() -> None:
     """Measure and print the tables."""
     parser = arguments(__doc__)
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS)
+    parser.add_argument("--workers", type=int, nargs="+", help="of the scheduler; default: 2 8 32, quick: 2 8")
     parser.add_argument("--measured", type=Path, help="file that the plan reads; default: that of --output")
     parser.add_argument("--engines", nargs="+", choices=ENGINES, default=ENGINES)
     options = parser.parse_args()
