@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import inspect
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -27,7 +28,10 @@ METHOD_SECTIONS = ["Option", "How it works", "Covers and refuses", "Cost and acc
 HEADER_LINES = 15
 #: Letters of a line of code that a page shows without scrolling, in a window of 1400 pixels.
 CODE_COLUMNS = 90
-PAGES_WITH_CODE = ["index.md", "start.md", "from_mitsuba.md", "pytorch.md", "troubleshooting.md", "gallery.md"]
+PAGES_WITH_CODE = [
+    *("index.md", "start.md", "from_mitsuba.md", "pytorch.md", "cluster.md", "troubleshooting.md"),
+    "gallery.md",
+]
 
 
 def name(path: Path) -> str:
@@ -178,6 +182,18 @@ def test_program_with_a_mesh_of_ones_own_runs(
     losses = [float(x) for x in re.findall(r"loss (\S+)", capsys.readouterr().out)]
     assert losses[-1] < 0.5 * losses[0]
     assert image_io.read_image("vase_texture.png").shape[:2] == (8, 8)
+
+
+def test_program_with_a_pool_runs(tmp_path: Path) -> None:
+    code = python_blocks("cluster.md")[0].replace("spp=256", "spp=8").replace('"local"', '"local", processes=2')
+    (tmp_path / "program.py").write_text(code, encoding="utf-8")
+    path = os.pathsep.join([str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])])
+    command = [sys.executable, str(tmp_path / "program.py")]
+    done = subprocess.run(
+        command, env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True, check=False, timeout=300
+    )
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert re.search(r"jobs +16, ", done.stdout)
 
 
 @pytest.mark.slow

@@ -15,12 +15,15 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),
     "Pictures and files": ("view", "read_image", "write_image"),
     "More": (
-        *("set_workers", "set_ray_backend", "invalid_samples", "trace_sample"),
+        *("set_workers", "set_vector_width", "set_ray_backend", "invalid_samples", "trace_sample"),
         *("Trace", "BoundaryTrace"),
     ),
 }
 #: Public modules in the order of their sections.
-MODULES = ("losses", "optim", "torch", "fit", "interior", "boundary", "guiding", "plots", "sdf", "image_io", "scenes")
+MODULES = (
+    *("losses", "optim", "torch", "fit", "distributed", "interior", "boundary", "guiding", "plots", "sdf"),
+    *("image_io", "scenes"),
+)
 
 
 def grouped(names: Iterable[str]) -> dict[str, list[str]]:
