@@ -192,7 +192,9 @@ def test_pilots_are_run_by_the_caller(monkeypatch: pytest.MonkeyPatch) -> None:
         found = []
         for seed in range(3):
             params.zero_grad()
-            by.render_backward(scene, params, np.ones((*psdr.render(scene, spp=1).shape, 3)), spp=2, seed=seed, integrator=PILOTED)
+            by.render_backward(
+                scene, params, np.ones((*psdr.render(scene, spp=1).shape, 3)), spp=2, seed=seed, integrator=PILOTED
+            )
             found.append(params["floor.bsdf.alpha.value"].grad.numpy().copy())
         choices = known.stored(scene)
         assert choices[0]["decided"]

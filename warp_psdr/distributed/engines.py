@@ -89,7 +89,10 @@ class Engine(Protocol):
         """How many jobs run at a time."""
 
     def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
-        """Run jobs, a power of two, and return what gives the merged result; ``told`` is called as each is done."""
+        """Run jobs, a power of two, of one function and the same data, and return what gives the merged result.
+
+        ``told`` is called as each is done.
+        """
 
     def send(self, data: Parcel) -> None:
         """Send data ahead of the job that needs it, where that is possible."""
@@ -348,17 +351,17 @@ class Dask:
     def _grow(self, jobs: Sequence[Job], told: Callable[[], None], pending: Pending, more: int) -> None:
         """Send all jobs of a tree; ``more``: how often they may be sent again."""
         try:
-            level = []
-            for job in jobs:
-                data = [self._parcel(parcel) for parcel in job.parcels]
-                digests = tuple(parcel.digest for parcel in job.parcels)
-                leaf = self._client.submit(_run, job.function, job.arguments, digests, data, pure=False)
-                leaf.add_done_callback(functools.partial(_told, told))
-                level.append(leaf)
+            data = [self._parcel(parcel) for parcel in jobs[0].parcels]
+            digests = tuple(parcel.digest for parcel in jobs[0].parcels)
+            arguments = [job.arguments for job in jobs]
+            # A message to the scheduler for each level, not for each task.
+            run = {"function": jobs[0].function, "digests": digests, "data": data}
+            level = self._client.map(_run, arguments, pure=False, **run)
             pending.jobs = list(level)
+            for leaf in level:
+                leaf.add_done_callback(functools.partial(_told, told))
             while len(level) > 1:
-                pairs = zip(level[::2], level[1::2], strict=True)
-                level = [self._client.submit(merge, a, b, pure=False) for a, b in pairs]
+                level = self._client.map(merge, level[::2], level[1::2], pure=False)
             pending.jobs.append(level[0])
             level[0].add_done_callback(functools.partial(self._arrived, jobs, told, pending, more))
         except Exception as error:
@@ -419,7 +422,7 @@ class Dask:
         )
 
 
-def _run(function: Callable[..., Done], arguments: tuple, digests: tuple[str, ...], data: list[bytes]) -> Done:
+def _run(arguments: tuple, function: Callable[..., Done], digests: tuple[str, ...], data: list[bytes]) -> Done:
     """Run a job on a worker of Dask, which has all its data."""
     return function(*arguments, dict(zip(digests, data, strict=True)))
 
