@@ -355,7 +355,7 @@ class Dask:
             digests = tuple(parcel.digest for parcel in jobs[0].parcels)
             arguments = [job.arguments for job in jobs]
             # A message to the scheduler for each level, not for each task.
-            run = {"function": jobs[0].function, "digests": digests, "data": data}
+            run: dict[str, Any] = {"function": jobs[0].function, "digests": digests, "data": data}
             level = self._client.map(_run, arguments, pure=False, **run)
             pending.jobs = list(level)
             for leaf in level:
