@@ -68,9 +68,14 @@ def raises() -> None:
     calls.ImageCall.draw = draw
 
 
+def ends(*_arguments: object) -> None:
+    """End the process, in place of a job."""
+    os._exit(3)
+
+
 def dies() -> None:
     """Make images end this process."""
-    calls.ImageCall.draw = lambda *arguments, **options: os._exit(3)
+    calls.ImageCall.draw = ends
 
 
 def has_another_version() -> None:

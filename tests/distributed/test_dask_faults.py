@@ -14,9 +14,9 @@ import pytest
 import warp_psdr as psdr
 from tests.distributed.cases import GAP, answers, assert_same, assert_same_fit
 from tests.distributed.children import LONGEST, program, wait_until
-from tests.distributed.faults import dies, has_another_version, interfere, kill, mends, raises, rendered
+from tests.distributed.faults import ends, has_another_version, interfere, kill, mends, raises, rendered
 from tests.distributed.fitting import assert_resumes, running
-from warp_psdr.distributed import JobError, Pool, engines
+from warp_psdr.distributed import JobError, Pool, engines, jobs
 from warp_psdr.fit import checkpoint
 from warp_psdr.fit.run import CHECKPOINT, fit
 
@@ -77,30 +77,24 @@ def test_a_worker_may_join_late(client, gap, reference) -> None:
     [
         (raises, r"(?s)share \d+ of \d+, sensor 0, seed 5, image: process \d+ on .*nothing to draw with.*Traceback"),
         (has_another_version, r"process \d+ on .* has warp_psdr 0\.0\.1 .*the same versions"),
-        pytest.param(dies, "ended one worker after the other", marks=pytest.mark.slow),
     ],
 )
 def test_what_goes_wrong_in_a_worker_is_said_here(client, gap, fault: Callable[[], None], said: str) -> None:
     workers(client)
     client.run(fault)
-    if fault is dies:
-        client.register_plugin(Dying(), name="dying")
     try:
         with Pool(client) as pool, pytest.raises(JobError, match=said):
             rendered(pool, gap[0], 4, lambda: None)
     finally:
-        if fault is dies:
-            client.unregister_worker_plugin("dying")
-        workers(client)
         client.run(mends)
 
 
-class Dying(distributed.WorkerPlugin):
-    """Lets images end also workers that are started anew."""
-
-    def setup(self, worker: object) -> None:
-        """Change this worker."""
-        dies()
+@pytest.mark.slow
+def test_a_job_that_ends_its_worker_is_given_up(client, gap, monkeypatch) -> None:
+    workers(client)
+    monkeypatch.setattr(jobs, "share", ends)
+    with Pool(client) as pool, pytest.raises(JobError, match="ended one worker after the other"):
+        rendered(pool, gap[0], 4, lambda: None)
 
 
 @pytest.mark.slow
