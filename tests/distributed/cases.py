@@ -72,6 +72,7 @@ CASES = {
         lambda: corner(point=POINT), psdr.PathIntegrator(max_depth=4, interior=LIGHT_TRACING, boundary=None), LIT, True
     ),
 }
+GAP = CASES["gap"]
 
 
 def answers(case: Case, scene: Any, params: Any, pool: Pool | None = None, seed: int = 1) -> dict[str, np.ndarray]:

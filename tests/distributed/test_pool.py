@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 import warp_psdr as psdr
-from tests.distributed import children, fitting
-from tests.distributed.cases import CASES, answers, assert_same, assert_same_fit, fit_of_two_views
+from tests.distributed import children
+from tests.distributed.cases import CASES, answers, assert_same, assert_same_fit
 from warp_psdr.distributed import Pool
-from warp_psdr.fit.run import FitConfig, FitResult, fit
+from warp_psdr.fit.run import fit
 from warp_psdr.scene.acceleration import vector_width
 
 ENGINES = ("executor", "local", "dask")
@@ -52,20 +52,6 @@ def loaded(name: str):
     """Return a scene, its parameters, and what one process finds."""
     scene, params = CASES[name].load()
     return scene, params, answers(CASES[name], scene, params)
-
-
-@pytest.fixture(autouse=True)
-def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    fitting.without_pictures(monkeypatch.setattr)
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[FitConfig, FitResult]:
-    """Return a fit's configuration, and its result in one process."""
-    config = FitConfig.from_file(fit_of_two_views(tmp_path_factory.mktemp("fit") / "files"))
-    with pytest.MonkeyPatch.context() as patch:
-        fitting.without_pictures(patch.setattr)
-        return config, fit(replace(config, output=config.output / "whole"))
 
 
 def test_calls_have_the_bits_of_one_process(pool: Pool) -> None:

@@ -82,3 +82,47 @@ def test_a_machine_without_a_gpu_is_told_of_one_only_if_it_is_asked_for() -> Non
     device, error = done.stdout.splitlines()
     assert device == "cpu" and "CUDA" not in done.stderr
     assert error.startswith("device: got 'cuda:77', this machine has 'cpu'")
+
+
+#: A program that counts what it compiles itself of what a scene takes, after all others like it are ready.
+COUNTS = """
+import os, pathlib, sys, time
+import numpy as np
+import warp as wp
+import warp_psdr as psdr
+from warp._src import build
+wp.config.log_level = wp.LOG_WARNING
+compiled, build_cpu = 0, build.build_cpu
+def counted(*arguments, **options):
+    global compiled
+    compiled += 1
+    return build_cpu(*arguments, **options)
+build.build_cpu = counted
+wp.init()
+folder = pathlib.Path(sys.argv[1])
+(folder / str(os.getpid())).touch()
+while len(list(folder.iterdir())) < int(sys.argv[2]):
+    time.sleep(0.001)
+node = {"type": "scene", "lamp": {"type": "rectangle", "emitter": {"type": "area", "radiance": 3.0}},
+        "camera": {"type": "perspective", "to_world": psdr.Transform.look_at((0, 0, 4), (0, 0, 0), (0, 1, 0)),
+                   "film": {"type": "hdrfilm", "width": 16, "height": 16}},
+        "integrator": {"type": "path", "max_depth": 1}}
+image = psdr.render(psdr.load_dict(node, device="cpu"), spp=1).numpy()
+print(compiled, float(image.max()))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(kernel_cache.fcntl is None, reason="this system has no locks that a process's end frees")
+def test_processes_that_start_together_compile_each_module_once(tmp_path: Path) -> None:
+    cache, ready = tmp_path / "cache", tmp_path / "ready"
+    ready.mkdir()
+    command = [sys.executable, "-c", COUNTS, str(ready), "3"]
+    environment = os.environ | {"WARP_CACHE_PATH": str(cache)}
+    started = [
+        subprocess.Popen(command, cwd=ROOT, env=environment, stdout=subprocess.PIPE, text=True) for _ in range(3)
+    ]
+    said = [process.communicate(timeout=300)[0].split() for process in started]
+    modules = len(list(cache.rglob("*.o")))
+    assert len({brightest for _count, brightest in said}) == 1
+    assert sum(int(count) for count, _brightest in said) == modules >= 3

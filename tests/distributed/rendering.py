@@ -1,0 +1,27 @@
+"""Renders in a pool until Ctrl-C: ``python -m tests.distributed.rendering``."""
+
+from __future__ import annotations
+
+from tests.distributed.cases import CASES
+from warp_psdr.distributed import Pool
+
+
+def main() -> None:
+    """Render."""
+    scene, _params = CASES["gap"].load()
+    with Pool("local", processes=2) as pool:
+        try:
+            while True:
+                pool.render(scene, integrator=CASES["gap"].integrator, spp=64, progress=begun)
+        except KeyboardInterrupt:
+            pass
+    print("interrupted")
+
+
+def begun(done: float) -> None:
+    """Say that a job is done."""
+    print("begun", flush=True)
+
+
+if __name__ == "__main__":
+    main()
