@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr import workers
 from warp_psdr.device import launch
 from warp_psdr.distributed import jobs
 from warp_psdr.distributed.engines import Job, Pending
@@ -108,11 +107,9 @@ class Views:
         return found
 
 
-def run_fit(threads: int | None, config: FitConfig, resume: bool, overwrite: bool) -> FitResult:
+def run_fit(setting: jobs.Setting, config: FitConfig, resume: bool, overwrite: bool) -> FitResult:
     """Run a whole fit in this process; one that was begun here or elsewhere is resumed if its process was lost."""
-    with jobs.alone(), silence():
-        if threads is not None:
-            workers.set_workers(threads)
+    with jobs.alone(setting), silence():
         return fit(config, resume=resume, overwrite=overwrite)
 
 

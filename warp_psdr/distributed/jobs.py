@@ -54,7 +54,7 @@ class Setting:
     Attributes:
         version: of this package.
         warp: version of Warp.
-        width: of vectors.
+        width: of vectors, in scenes that a process loads itself; those that it is sent have their own.
         threads: that a job runs on; None: what the process has.
     """
 
@@ -206,9 +206,13 @@ def merge(one: Done, other: Done) -> Done:
 
 
 @contextlib.contextmanager
-def alone() -> Iterator[None]:
-    """Keep the process's other jobs waiting."""
+def alone(setting: Setting) -> Iterator[None]:
+    """Keep the process's other jobs waiting, and give it the pool's width of vectors and number of threads."""
     with _lock:
+        if vector_width() != setting.width:
+            set_vector_width(setting.width)
+        if setting.threads is not None and setting.threads != workers.workers():
+            workers.set_workers(setting.threads)
         yield
 
 
@@ -250,7 +254,7 @@ def _run(setting: Setting, what: str, given: Mapping[str, bytes | None], job: Ca
             f"{named()} has warp_psdr {here.version} and Warp {here.warp}, the caller {setting.version} and "
             f"{setting.warp}; results may differ: install the same versions on both"
         )
-    with _lock:
+    with alone(setting):
         missing = tuple(digest for digest, data in given.items() if data is None and digest not in _data)
         if missing:
             return Missing(missing)
@@ -258,10 +262,6 @@ def _run(setting: Setting, what: str, given: Mapping[str, bytes | None], job: Ca
         _given = {digest: data for digest, data in given.items() if data is not None} | kept
         for digest in _given.keys() - kept.keys():
             _data.put(digest, _given[digest], len(_given[digest]))
-        if vector_width() != setting.width:
-            set_vector_width(setting.width)
-        if setting.threads is not None and setting.threads != workers.workers():
-            workers.set_workers(setting.threads)
         begun = time.perf_counter()
         try:
             return replace(job(), seconds=time.perf_counter() - begun)

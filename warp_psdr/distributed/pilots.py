@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import warp_psdr as psdr
-from warp_psdr import workers
 from warp_psdr.distributed import jobs
 
 if TYPE_CHECKING:
@@ -14,12 +13,10 @@ if TYPE_CHECKING:
 
 
 def run_accuracy(
-    threads: int | None, scene: Scene, names: list[str], adjoint: Any, tangents: dict | None, options: dict[str, Any]
+    setting: jobs.Setting, scene: Scene, names: list[str], adjoint: Any, tangents: dict | None, options: dict[str, Any]
 ) -> Report:
     """Measure it here; arguments as of ``psdr.accuracy``, ``names`` in place of what was requested."""
-    with jobs.alone():
-        if threads is not None:
-            workers.set_workers(threads)
+    with jobs.alone(setting):
         params = psdr.traverse(scene)
         params.requires_grad(*names)
         return psdr.accuracy(scene, params, adjoint, tangents=tangents, **options)

@@ -382,8 +382,8 @@ class Pool:
         return self._engine.tree([job], lambda: None)
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
-        """Run a function of the number of threads and some arguments in one process."""
-        return self._engine.call(function, self._threads, *arguments)
+        """Run a function of the pool's setting and some arguments in one process."""
+        return self._engine.call(function, self.setting(), *arguments)
 
     @functools.cached_property
     def views(self) -> Views:

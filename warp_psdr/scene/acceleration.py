@@ -1,5 +1,6 @@
 """Ray acceleration structures: builds and updates what ``kernels/bvh`` traverses."""
 
+import functools
 import platform
 from pathlib import Path
 
@@ -61,6 +62,7 @@ def vector_width() -> int:
     return _vector_width or host_width()
 
 
+@functools.cache
 def host_width() -> int:
     """Return the SIMD lanes (float32) that suit this machine's CPU: 16 with AVX-512, 8 with AVX2, else 4."""
     try:

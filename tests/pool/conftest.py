@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.distributed import fitting
-from tests.distributed.cases import GAP, answers, fit_of_two_views
+from tests.pool import fitting
+from tests.pool.cases import GAP, answers, fit_of_two_views
 from warp_psdr.fit.run import FitConfig, FitResult, fit
 
 #: Seconds after which a test that hangs fails; others take a tenth at most.
@@ -35,7 +35,7 @@ def bounded() -> Iterator[None]:
 def client() -> Iterator:
     """Return Dask's client of a cluster of processes on this machine."""
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": None}
+    options = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": ":0"}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         yield client
 

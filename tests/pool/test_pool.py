@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 import warp_psdr as psdr
-from tests.distributed import children
-from tests.distributed.cases import CASES, answers, assert_same, assert_same_fit
+from tests.pool import children
+from tests.pool.cases import CASES, answers, assert_same, assert_same_fit
 from warp_psdr.distributed import Pool
 from warp_psdr.fit.run import fit
 from warp_psdr.scene.acceleration import vector_width
@@ -74,7 +74,7 @@ def test_a_fresh_process_resumes_with_another_number_of_workers(request, whole, 
     with pool_of("local", 2, request) as pool:
         fit(begun, iterations=7, pool=pool)
     file, output = config.scene.parent / "fit.toml", tmp_path / "output"
-    with children.program(output, "tests.distributed.fitting", file, begun.output, 1) as process:
+    with children.program(output, "tests.pool.fitting", file, begun.output, 1) as process:
         assert process.wait(children.LONGEST) == 0, output.read_text()
     assert_same_fit(begun.output, expected.output)
 
@@ -151,7 +151,7 @@ def test_workers_take_the_vector_width_of_the_caller_and_give_it_back(request) -
             psdr.set_vector_width(None)
 
 
-def width_of(threads: int | None) -> int:
+def width_of(_setting: object) -> int:
     """Return the width in a worker."""
     return vector_width()
 

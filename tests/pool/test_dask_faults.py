@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 import warp_psdr as psdr
-from tests.distributed.cases import GAP, answers, assert_same, assert_same_fit
-from tests.distributed.children import LONGEST, program, wait_until
-from tests.distributed.faults import ends, has_another_version, interfere, kill, mends, raises, rendered
-from tests.distributed.fitting import assert_resumes, running
+from tests.pool.cases import GAP, answers, assert_same, assert_same_fit
+from tests.pool.children import LONGEST, program, wait_until
+from tests.pool.faults import ends, has_another_version, interfere, kill, mends, raises, rendered
+from tests.pool.fitting import assert_resumes, running
 from warp_psdr.distributed import JobError, Pool, engines, jobs
 from warp_psdr.fit import checkpoint
 from warp_psdr.fit.run import CHECKPOINT, fit

@@ -12,8 +12,8 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from tests.distributed.cases import GAP
-from tests.distributed.children import below, wait_until
+from tests.pool.cases import GAP
+from tests.pool.children import below, wait_until
 from warp_psdr import optim
 from warp_psdr.distributed import Pool
 from warp_psdr.estimate import calls

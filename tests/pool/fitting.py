@@ -1,4 +1,4 @@
-"""Runs or resumes a fit in a pool: ``python -m tests.distributed.fitting FIT.toml OUTPUT PROCESSES [ENGINE]``.
+"""Runs or resumes a fit in a pool: ``python -m tests.pool.fitting FIT.toml OUTPUT PROCESSES [ENGINE]``.
 
 ENGINE: "local" (default), "executor", or the address of Dask's scheduler.
 """
@@ -13,8 +13,8 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from tests.distributed.cases import assert_same_fit
-from tests.distributed.children import program, wait_until
+from tests.pool.cases import assert_same_fit
+from tests.pool.children import program, wait_until
 from warp_psdr.distributed import Pool
 from warp_psdr.fit import checkpoint, report
 from warp_psdr.fit.run import CHECKPOINT, FitConfig, fit
@@ -46,7 +46,7 @@ def main(file: str, output: str, processes: str, engine: str = "local") -> None:
 @contextmanager
 def running(file: Path, output: Path, engine: str, steps: int = 3) -> Iterator[subprocess.Popen]:
     """Run a fit in a program, which has made some steps."""
-    with program(output.with_suffix(".txt"), "tests.distributed.fitting", file, output, 2, engine) as process:
+    with program(output.with_suffix(".txt"), "tests.pool.fitting", file, output, 2, engine) as process:
         wait_until(lambda: (output / CHECKPOINT).exists() or process.poll() is not None, "no checkpoint")
         wait_until(lambda: len(checkpoint.load(output / CHECKPOINT)[0]["losses"]) >= steps, "no steps")
         yield process

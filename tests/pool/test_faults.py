@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import warp_psdr as psdr
-from tests.distributed.cases import GAP, answers, assert_same, assert_same_fit
-from tests.distributed.children import LONGEST, below, of_session, program, wait_until
-from tests.distributed.faults import (
+from tests.pool.cases import GAP, answers, assert_same, assert_same_fit
+from tests.pool.children import LONGEST, below, of_session, program, wait_until
+from tests.pool.faults import (
     dies,
     has_another_version,
     has_another_warp,
@@ -24,7 +24,7 @@ from tests.distributed.faults import (
     raises,
     rendered,
 )
-from tests.distributed.fitting import assert_resumes, running
+from tests.pool.fitting import assert_resumes, running
 from warp_psdr.distributed import JobError, Pool
 from warp_psdr.fit.run import fit
 
@@ -128,7 +128,7 @@ def test_ctrl_c_ends_a_fit_at_a_whole_step(long: Path, tmp_path: Path, engine: s
 @pytest.mark.parametrize("group", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_ctrl_c_ends_a_call(tmp_path: Path, group: bool) -> None:
     output = tmp_path / "said.txt"
-    with program(output, "tests.distributed.rendering") as process:
+    with program(output, "tests.pool.rendering") as process:
         wait_until(lambda: "begun" in output.read_text() or process.poll() is not None, "no job is done")
         (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
         assert process.wait(LONGEST) == 0, output.read_text()

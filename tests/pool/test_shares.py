@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.boundary import test_sdfgrid
-from tests.distributed.inline import Inline
+from tests.pool.inline import Inline
 from tests.gradients import measure, scenes
 from tests.interior.test_light_tracing import corner
 from tests.media.test_grids import DATA, slab

@@ -1,8 +1,8 @@
-"""Renders in a pool until Ctrl-C: ``python -m tests.distributed.rendering``."""
+"""Renders in a pool until Ctrl-C: ``python -m tests.pool.rendering``."""
 
 from __future__ import annotations
 
-from tests.distributed.cases import CASES
+from tests.pool.cases import CASES
 from warp_psdr.distributed import Pool
 
 
