@@ -142,7 +142,9 @@ class Processes:
         self._own = executor is None
         #: Whether the processes share this machine's cores.
         self.here = executor is None or isinstance(executor, ProcessPoolExecutor)
-        self._executor: Executor = _processes(count) if executor is None else executor
+        self._executor: Executor = ProcessPoolExecutor(count or workers.workers()) if executor is None else executor
+        if isinstance(self._executor, ProcessPoolExecutor) and not self._executor._processes:
+            _attend_first(self._executor)
         self.processes = int(getattr(self._executor, "_max_workers", 0) or os.cpu_count() or 1)
         self.traffic = Traffic()
         self._times_sent: dict[str, int] = {}
@@ -281,6 +283,10 @@ class Processes:
             raise BrokenExecutor(
                 f"{type(executor).__name__} has lost a process and takes no more jobs; make a new pool"
             )
+        for process in list((executor._processes or {}).values()):
+            # The executor ends them too, but later and by SIGTERM, after which a fit goes on to its next step.
+            process.kill()
+            process.join(PATIENCE)
         if self._own:
             executor.shutdown(wait=False)
         self._own = True
@@ -290,9 +296,11 @@ class Processes:
         return self._executor
 
 
-def _processes(count: int | None) -> ProcessPoolExecutor:
-    """Return processes that leave Ctrl-C to this one, and end with it."""
-    return ProcessPoolExecutor(count or workers.workers(), initializer=attend)
+def _attend_first(executor: ProcessPoolExecutor) -> None:
+    """Let processes that are yet to start ``attend`` before their first job, which may never come."""
+    own = executor._initializer
+    arguments = () if own is None else (own, *executor._initargs)
+    executor._initializer, executor._initargs = attend if own is None else attended, arguments
 
 
 def _fail(root: Future, error: BaseException) -> None:
