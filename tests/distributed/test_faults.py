@@ -6,7 +6,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -121,6 +121,15 @@ def test_processes_without_jobs_end_with_their_client(tmp_path: Path, engine: st
         process.kill()
         process.wait()
         wait_until(lambda: not of_session(process.pid), "processes outlive their client")
+
+
+def test_a_pool_that_closes_ends_what_runs(tmp_path: Path) -> None:
+    with none_stays():
+        with Pool("local", processes=1) as pool:
+            running, queued = (pool.call(ends_once, tmp_path) for _ in range(2))
+        for call in (running, queued):
+            with pytest.raises((BrokenExecutor, CancelledError)):
+                call.result()
 
 
 # -- fits --------------------------------------------------------------------------------------------------------------

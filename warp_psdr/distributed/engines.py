@@ -150,6 +150,7 @@ class Processes:
         self._times_sent: dict[str, int] = {}
         self._lock = threading.Lock()
         self._losses = 0
+        self._closed = False
 
     def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
         """Run jobs; as of ``Engine``."""
@@ -168,6 +169,8 @@ class Processes:
 
     def _called(self, result: Future[Any], function: Callable[..., Any], arguments: tuple) -> None:
         def arrived(executor: Executor, future: Future) -> None:
+            if result.cancelled():
+                return
             try:
                 value = future.result()
                 if result.set_running_or_notify_cancel():
@@ -183,6 +186,7 @@ class Processes:
 
         executor, future = self._sent(function, *arguments)
         future.add_done_callback(functools.partial(arrived, executor))
+        result.add_done_callback(lambda result: result.cancelled() and future.cancel())
 
     def _sent(self, function: Callable[..., Any], *arguments: Any) -> tuple[Executor, Future]:
         """Submit a function, and return what runs it."""
@@ -198,16 +202,18 @@ class Processes:
 
     def close(self) -> None:
         """End the executor if it is the engine's own."""
-        if not self._own:
-            return
-        processes = list((getattr(self._executor, "_processes", None) or {}).values())
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        with self._lock:
+            self._closed = True
+            if not self._own:
+                return
+            processes = list((getattr(self._executor, "_processes", None) or {}).values())
+            self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()  # a fit stops at its next whole step
         end = time.monotonic() + PATIENCE
         for process in processes:
             process.join(max(end - time.monotonic(), 0.0))
-            # One that was killed while it waited for a job keeps the lock of the others, and these wait for ever.
-            if process.is_alive():
-                process.kill()
+            process.kill()
 
     def _submit(
         self, job: Job, arrived: Callable[[Executor, Future], None], pending: Pending, missing: tuple[str, ...]
@@ -279,6 +285,8 @@ class Processes:
         """Put a new executor in place of one whose process died, which takes no more jobs."""
         if self._executor is not executor:
             return self._executor
+        if self._closed:
+            raise BrokenExecutor("the pool was closed before its jobs were done")
         if not isinstance(executor, ProcessPoolExecutor):
             raise BrokenExecutor(
                 f"{type(executor).__name__} has lost a process and takes no more jobs; make a new pool"
