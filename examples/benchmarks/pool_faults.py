@@ -54,13 +54,21 @@ resolution = {SIZE}
 lr = 0.02
 initial = 0.3
 """
+#: A cluster that prints its address, and kills a worker that runs for every line that it reads. Dask gives up one that
+#: is killed while it starts.
 CLUSTER = """
-import sys, time
+import os, random, signal, sys, time
 from distributed import LocalCluster
 if __name__ == "__main__":
     with LocalCluster(n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=":0", silence_logs=50) as c:
         print(c.scheduler_address, flush=True)
-        sys.stdin.read()
+        for line in sys.stdin:
+            ready = []
+            while not ready:
+                time.sleep(0.01)
+                ready = [n.pid for n in list(c.workers.values()) if n.worker_address in c.scheduler.workers and n.pid]
+            os.kill(random.choice(ready), signal.SIGKILL)
+            print("killed", flush=True)
 """
 
 
@@ -134,12 +142,16 @@ def processes(wanted: Callable[[int, int, int], bool]) -> list[int]:
     return found
 
 
-def workers(engine: str, client: int, cluster: subprocess.Popen | None) -> list[int]:
-    """Return the processes that run jobs."""
-    if engine == "executor":
-        return processes(lambda _pid, parent, _session: parent == client)
-    below = processes(lambda _pid, parent, _session: parent == cluster.pid)
-    return [pid for pid in below if b"spawn_main" in Path(f"/proc/{pid}/cmdline").read_bytes()]
+def kill_worker(client: int, cluster: subprocess.Popen | None) -> int:
+    """Kill a process that runs jobs, and return how many were killed."""
+    if cluster is not None:
+        cluster.stdin.write("kill\n")
+        cluster.stdin.flush()
+        return int(bool(cluster.stdout.readline()))
+    found = processes(lambda _pid, parent, _session: parent == client)
+    if found:
+        os.kill(random.choice(found), signal.SIGKILL)
+    return min(len(found), 1)
 
 
 def run(work: Work, output: Path, engine: str, count: int, killed: str, moment: float, cluster, address: str) -> dict:
@@ -149,9 +161,7 @@ def run(work: Work, output: Path, engine: str, count: int, killed: str, moment: 
     if killed != "nobody":
         time.sleep(moment)
         if killed == "a worker":
-            for victim in random.sample(found := workers(engine, client, cluster), min(len(found), 1)):
-                os.kill(victim, signal.SIGKILL)
-                kills = 1
+            kills = kill_worker(client, cluster)
         else:
             os.kill(client, signal.SIGKILL)
             kills = int(os.waitpid(client, 0)[1] != 0)

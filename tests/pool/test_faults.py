@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import BrokenExecutor, CancelledError, ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,6 +27,7 @@ from tests.pool.faults import (
 )
 from tests.pool.fitting import assert_resumes, running
 from warp_psdr.distributed import JobError, Pool
+from warp_psdr.files import write_atomic
 from warp_psdr.fit.run import fit
 
 # -- executors ---------------------------------------------------------------------------------------------------------
@@ -84,6 +86,50 @@ def test_what_goes_wrong_in_a_process_is_said_here(gap, initializer: Callable[[]
     with none_stays(), ProcessPoolExecutor(2, initializer=initializer) as executor, Pool(executor) as pool:
         with pytest.raises(JobError, match=said):
             pool.render(scene, integrator=GAP.integrator, spp=4, seed=7)
+
+
+def ends_once(_threads: int | None, folder: Path) -> str:
+    """End the process, the second time do nothing."""
+    if not (folder / "ended").exists():
+        wait_until((folder / "waits").exists, "the other call has not begun")
+        (folder / "ended").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return "done"
+
+
+def waits_once(_threads: int | None, folder: Path) -> bool:
+    """Wait for ever, and do not listen to SIGTERM; the second time return whether the first one still waits."""
+    if (folder / "waits").exists():
+        return (Path("/proc") / (folder / "waits").read_text() / "cmdline").exists()
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    write_atomic(folder / "waits", lambda file: file.write(str(os.getpid()).encode()))
+    time.sleep(LONGEST)
+    return True
+
+
+def test_what_a_broken_executor_ran_has_ended_when_it_is_run_again(tmp_path: Path) -> None:
+    """Two fits that write to one folder would refuse each other."""
+    with none_stays(), Pool("local", processes=2) as pool:
+        calls = [pool.call(waits_once, tmp_path), pool.call(ends_once, tmp_path)]
+        assert [call.result() for call in calls] == [False, "done"]
+
+
+@pytest.mark.parametrize("engine", ["local", "executor"])
+def test_processes_without_jobs_end_with_their_client(tmp_path: Path, engine: str) -> None:
+    with program(tmp_path / "said.txt", "tests.pool.idling", engine) as process:
+        wait_until(lambda: len(of_session(process.pid)) == 5 or process.poll() is not None, "four processes")
+        process.kill()
+        process.wait()
+        wait_until(lambda: not of_session(process.pid), "processes outlive their client")
+
+
+def test_a_pool_that_closes_ends_what_runs(tmp_path: Path) -> None:
+    with none_stays():
+        with Pool("local", processes=1) as pool:
+            running, queued = (pool.call(ends_once, tmp_path) for _ in range(2))
+        for call in (running, queued):
+            with pytest.raises((BrokenExecutor, CancelledError)):
+                call.result()
 
 
 # -- fits --------------------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
 from warp_psdr import workers
-from warp_psdr.distributed.jobs import KEPT_BYTES, Done, JobError, Missing, attend, attended, merge
+from warp_psdr.distributed.jobs import KEPT_BYTES, Done, JobError, Missing, attend, attended, merge, merge_all
 from warp_psdr.distributed.traffic import Traffic
 from warp_psdr.distributed.wire import Parcel, Store
 
@@ -40,6 +40,8 @@ LARGE = 8 << 20
 PATIENCE = 5.0
 #: Seconds between two looks at a client that looks for its scheduler.
 LOOK = 0.1
+#: Results that a task of Dask's merges at most, a power of two.
+MERGED = 8
 #: Times that a job is sent again after its process was lost, without any other having been done meanwhile.
 LOSSES = 5
 
@@ -148,12 +150,15 @@ class Processes:
         self._own = executor is None
         #: Whether the processes share this machine's cores.
         self.here = executor is None or isinstance(executor, ProcessPoolExecutor)
-        self._executor: Executor = _processes(count) if executor is None else executor
+        self._executor: Executor = ProcessPoolExecutor(count or workers.workers()) if executor is None else executor
+        if isinstance(self._executor, ProcessPoolExecutor) and not self._executor._processes:
+            _attend_first(self._executor)
         self.processes = int(getattr(self._executor, "_max_workers", 0) or os.cpu_count() or 1)
         self.traffic = Traffic()
         self._times_sent: dict[str, int] = {}
         self._lock = threading.Lock()
         self._losses = 0
+        self._closed = False
 
     def tree(self, jobs: Sequence[Job], told: Callable[[], None]) -> Pending:
         """Run jobs; as of ``Engine``."""
@@ -172,6 +177,8 @@ class Processes:
 
     def _called(self, result: Future[Any], function: Callable[..., Any], arguments: tuple) -> None:
         def arrived(executor: Executor, future: Future) -> None:
+            if result.cancelled():
+                return
             try:
                 value = future.result()
                 if result.set_running_or_notify_cancel():
@@ -187,6 +194,7 @@ class Processes:
 
         executor, future = self._sent(function, *arguments)
         future.add_done_callback(functools.partial(arrived, executor))
+        result.add_done_callback(lambda result: result.cancelled() and future.cancel())
 
     def _sent(self, function: Callable[..., Any], *arguments: Any) -> tuple[Executor, Future]:
         """Submit a function, and return what runs it."""
@@ -205,16 +213,18 @@ class Processes:
 
     def close(self) -> None:
         """End the executor if it is the engine's own."""
-        if not self._own:
-            return
-        processes = list((getattr(self._executor, "_processes", None) or {}).values())
-        self._executor.shutdown(wait=False, cancel_futures=True)
+        with self._lock:
+            self._closed = True
+            if not self._own:
+                return
+            processes = list((getattr(self._executor, "_processes", None) or {}).values())
+            self._executor.shutdown(wait=False, cancel_futures=True)
+        for process in processes:
+            process.terminate()  # a fit stops at its next whole step
         end = time.monotonic() + PATIENCE
         for process in processes:
             process.join(max(end - time.monotonic(), 0.0))
-            # One that was killed while it waited for a job keeps the lock of the others, and these wait for ever.
-            if process.is_alive():
-                process.kill()
+            process.kill()
 
     def _submit(
         self, job: Job, arrived: Callable[[Executor, Future], None], pending: Pending, missing: tuple[str, ...]
@@ -286,10 +296,16 @@ class Processes:
         """Put a new executor in place of one whose process died, which takes no more jobs."""
         if self._executor is not executor:
             return self._executor
+        if self._closed:
+            raise BrokenExecutor("the pool was closed before its jobs were done")
         if not isinstance(executor, ProcessPoolExecutor):
             raise BrokenExecutor(
                 f"{type(executor).__name__} has lost a process and takes no more jobs; make a new pool"
             )
+        for process in list((executor._processes or {}).values()):
+            # The executor ends them too, but later and by SIGTERM, after which a fit goes on to its next step.
+            process.kill()
+            process.join(PATIENCE)
         if self._own:
             executor.shutdown(wait=False)
         self._own = True
@@ -299,9 +315,11 @@ class Processes:
         return self._executor
 
 
-def _processes(count: int | None) -> ProcessPoolExecutor:
-    """Return processes that leave Ctrl-C to this one, and end with it."""
-    return ProcessPoolExecutor(count or workers.workers(), initializer=attend)
+def _attend_first(executor: ProcessPoolExecutor) -> None:
+    """Let processes that are yet to start ``attend`` before their first job, which may never come."""
+    own = executor._initializer
+    arguments = () if own is None else (own, *executor._initargs)
+    executor._initializer, executor._initargs = attend if own is None else attended, arguments
 
 
 def _fail(root: Future, error: BaseException) -> None:
@@ -360,8 +378,10 @@ class Dask:
             pending.jobs = list(level)
             for leaf in level:
                 leaf.add_done_callback(functools.partial(_told, told))
-            while len(level) > 1:
-                level = self._client.map(merge, level[::2], level[1::2], pure=False)
+            while len(level) > MERGED:
+                level = self._client.map(merge_all, *(level[i::MERGED] for i in range(MERGED)), pure=False)
+            if len(level) > 1:
+                level = [self._client.submit(merge_all, *level, pure=False)]
             pending.jobs.append(level[0])
             level[0].add_done_callback(functools.partial(self._arrived, jobs, told, pending, more))
         except Exception as error:

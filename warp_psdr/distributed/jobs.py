@@ -26,7 +26,7 @@ import warp as wp
 import warp_psdr as psdr
 from warp_psdr import forks, losses, workers
 from warp_psdr.distributed.values import Changed, restore
-from warp_psdr.distributed.wire import Packed, Store, pack, unpack
+from warp_psdr.distributed.wire import Packed, Store, add, pack
 from warp_psdr.estimate import calls
 from warp_psdr.estimate.draw import Draw
 from warp_psdr.invalid import Count
@@ -196,13 +196,21 @@ def view(setting: Setting, view: View, given: Mapping[str, bytes | None]) -> Don
 def merge(one: Done, other: Done) -> Done:
     """Return what two neighbouring shares add up to."""
     kinds = one.parts.keys()
-    parts = {kind: pack(unpack(one.parts[kind]) + unpack(other.parts[kind])) for kind in kinds}
+    parts = {kind: add(one.parts[kind], other.parts[kind]) for kind in kinds}
     invalid = dict(one.invalid)
     for kind, count in other.invalid.items():
         had = invalid.get(kind, Count())
         first = had.first or count.first
         invalid[kind] = Count(had.samples + count.samples, had.invalid + count.invalid, first)
     return Done(parts, invalid, one.seconds + other.seconds)
+
+
+def merge_all(*results: Done) -> Done:
+    """Return what neighbouring shares, a power of two, add up to: pairwise, as ``merge`` alone would."""
+    level = list(results)
+    while len(level) > 1:
+        level = [merge(a, b) for a, b in zip(level[::2], level[1::2], strict=True)]
+    return level[0]
 
 
 @contextlib.contextmanager

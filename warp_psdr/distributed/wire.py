@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import pickle
 from collections import OrderedDict
 from dataclasses import dataclass
@@ -36,21 +37,40 @@ class Packed:
 def pack(array: np.ndarray) -> Packed:
     """Leave out what is zero."""
     rows = np.ascontiguousarray(array).reshape(-1, array.shape[-1] if array.ndim > 1 else 1)
-    kept = rows.any(axis=1)
+    kept = np.zeros(len(rows), bool)
+    for column in rows.T:
+        kept |= column != 0.0
     if kept.all():
         return Packed(array.shape, None, rows)
     return Packed(array.shape, np.packbits(kept), rows[kept])
+
+
+def add(one: Packed, other: Packed) -> Packed:
+    """Return the sum of two arrays of one shape: where one of them is zero the other stays as it is."""
+    if one.mask is None and other.mask is None:
+        return Packed(one.shape, None, one.rows + other.rows)
+    a, b = _kept(one), _kept(other)
+    both = a | b
+    rows = np.zeros((int(both.sum()), one.rows.shape[1]), one.rows.dtype)
+    rows[a[both]] = one.rows
+    rows[b[both]] += other.rows
+    return Packed(one.shape, None if both.all() else np.packbits(both), rows)
 
 
 def unpack(packed: Packed) -> np.ndarray:
     """Return the array."""
     if packed.mask is None:
         return packed.rows.reshape(packed.shape)
-    columns = packed.rows.shape[1]
-    size = int(np.prod(packed.shape)) // columns
-    rows = np.zeros((size, columns), packed.rows.dtype)
-    rows[np.unpackbits(packed.mask, count=size).view(bool)] = packed.rows
+    kept = _kept(packed)
+    rows = np.zeros((len(kept), packed.rows.shape[1]), packed.rows.dtype)
+    rows[kept] = packed.rows
     return rows.reshape(packed.shape)
+
+
+def _kept(packed: Packed) -> np.ndarray:
+    """Return which rows are kept."""
+    size = math.prod(packed.shape) // packed.rows.shape[1]
+    return np.ones(size, bool) if packed.mask is None else np.unpackbits(packed.mask, count=size).view(bool)
 
 
 @dataclass(frozen=True, eq=False)
