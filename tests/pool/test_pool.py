@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
@@ -172,13 +173,23 @@ def test_a_closed_pool_is_refused(whole, tmp_path: Path) -> None:
             call()
 
 
-@pytest.mark.parametrize(
-    ("engine", "said"),
-    [("tcp://127.0.0.1:8786", r"warp-psdr\[cluster\]"), (None, "expected a dask"), (3, "expected a dask")],
-)
-def test_other_engines_are_refused(engine: object, said: str) -> None:
-    with pytest.raises(ValueError, match=said):
+@pytest.mark.parametrize("engine", [None, 3, "localhost"])
+def test_other_engines_are_refused(engine: object) -> None:
+    with pytest.raises(ValueError, match="expected"):
         Pool(engine)
+
+
+def test_an_address_needs_dask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(ImportError, match=r"warp-psdr\[cluster\]"):
+        Pool("tcp://127.0.0.1:8786")
+
+
+def test_an_address_is_connected_to(client) -> None:
+    scene, _params, expected = loaded("gap")
+    with Pool(client.scheduler.address) as pool:
+        image = pool.render(scene, integrator=CASES["gap"].integrator, spp=1)
+    assert image.numpy().any() and expected
 
 
 def test_an_executor_of_threads_is_refused() -> None:

@@ -5,15 +5,15 @@ import pytest
 
 import warp_psdr as psdr
 from tests.boundary import test_sdfgrid
-from tests.pool.inline import Inline
 from tests.gradients import measure, scenes
 from tests.interior.test_light_tracing import corner
 from tests.media.test_grids import DATA, slab
 from tests.path.test_light_tracing import lamp
+from tests.pool.inline import Inline
 from tests.sensor import test_batch, timed
 from warp_psdr import workers
 from warp_psdr.distributed.values import changed, restore
-from warp_psdr.distributed.wire import pack, unpack
+from warp_psdr.distributed.wire import add, pack, unpack
 from warp_psdr.estimate.gradient_sums import GradientSums
 
 FLOOR = "floor.bsdf.reflectance.value"
@@ -133,6 +133,8 @@ def test_arrays_arrive_without_their_zeros(shape: tuple[int, ...], share: float)
     packed = pack(array)
     np.testing.assert_array_equal(unpack(packed), array)
     assert packed.nbytes <= array.nbytes + array.size
+    other = random.normal(size=shape) * (random.random(shape[:1] + (1,) * (len(shape) - 1)) < 0.5)
+    np.testing.assert_array_equal(unpack(add(packed, pack(other))), array + other)
 
 
 def test_sums_of_overlapping_parameters_are_added_once() -> None:

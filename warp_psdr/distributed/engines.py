@@ -21,7 +21,7 @@ from concurrent.futures import (
     ProcessPoolExecutor,
     ThreadPoolExecutor,
 )
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 from warp_psdr import workers
@@ -355,7 +355,7 @@ class Dask:
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
         """Run any function; as of ``Engine``."""
-        return self._client.get_executor(pure=False).submit(function, *arguments)
+        return self._client.get_executor(pure=False).submit(_call, function, arguments)
 
     def send(self, data: Parcel) -> None:
         """Send data to the scheduler, and from there to a worker."""
@@ -444,7 +444,22 @@ class Dask:
 
 def _run(arguments: tuple, function: Callable[..., Done], digests: tuple[str, ...], data: list[bytes]) -> Done:
     """Run a job on a worker of Dask, which has all its data."""
-    return function(*arguments, dict(zip(digests, data, strict=True)))
+    return function(*_own_threads(arguments), dict(zip(digests, data, strict=True)))
+
+
+def _call(function: Callable[..., Any], arguments: tuple) -> Any:
+    """Call a function of a setting and more on a worker of Dask."""
+    return function(*_own_threads(arguments))
+
+
+def _own_threads(arguments: tuple) -> tuple:
+    """Return arguments whose first, a setting that leaves the threads open, takes those of this worker."""
+    from distributed import get_worker
+
+    setting, *rest = arguments
+    if setting.threads is None:
+        setting = replace(setting, threads=get_worker().state.nthreads)
+    return setting, *rest
 
 
 def _given(data: bytes) -> bytes:

@@ -67,7 +67,7 @@ class Pool:
             machine.
         processes: of "local"; default: one for every core.
         threads: of every job; default: of "local" and of a ``ProcessPoolExecutor`` the cores of this machine over the
-            processes, elsewhere what a process has.
+            processes, of Dask those of the worker (``--nthreads``), elsewhere all cores that a process may use.
 
     Raises:
         ValueError: another engine, or a number of processes for an engine that has its own.
@@ -142,11 +142,12 @@ class Pool:
         views = scene.description.views(sensor)
         path, seed = integrator_of(scene, integrator), checked_seed(seed)
         spp = count_of_views(scene, views, spp) if views.several else spp
-        started = []
+        started, parcels = [], self.parcels_of(scene)
         told = Fractions(progress)
         for number in views.sensors:
             call = calls.ImageCall(scene, decide(scene, integrator=path, sensor=number), number, seed)
-            started.append((call, self._start(call, path, sample_count(scene, number, spp), len(views.sensors), told)))
+            count = sample_count(scene, number, spp)
+            started.append((call, self._start(call, path, count, len(views.sensors), parcels, told)))
         images = dict(zip(views.sensors, (c.finish(p) for c, p in self._finished(scene, started)), strict=True))
         if not views.several:
             return images[views.sensors[0]]
@@ -193,7 +194,7 @@ class Pool:
         whole = shape_of_views(scene, views) if views.several else shape_of(scene, views.sensors[0])
         adjoints = adjoint_array(adjoint, whole, scene.device)
         width = whole[-1] // len(views.sensors)
-        started = []
+        started, parcels = [], self.parcels_of(scene)
         told = Fractions(progress)
         for i, number in enumerate(views.sensors):
             own = adjoints
@@ -205,7 +206,7 @@ class Pool:
             plan = decide(scene, params, integrator=path, sensor=number)
             count = sample_count(scene, number, spp)
             call = self._derivative(scene, plan, path, names, "reverse", number, count, seed, flat(own))
-            started.append((call, self._start(call, path, count, len(views.sensors), told)))
+            started.append((call, self._start(call, path, count, len(views.sensors), parcels, told)))
         gradient = {name: np.zeros(scene.parameters[name].numpy_shape, np.float32) for name in names}
         for call, parts in self._finished(scene, started):
             total = call.gradient(parts)
@@ -256,7 +257,7 @@ class Pool:
         path, names, seed = integrator_of(scene, integrator), list(tangents), checked_seed(seed)
         spp = count_of_views(scene, views, spp) if views.several else spp
         target = flat_tangents(scene, params, tangents)
-        started = []
+        started, parcels = [], self.parcels_of(scene)
         told = Fractions(progress)
         for number in views.sensors:
             plan = decide(scene, integrator=path, sensor=number, names=names)
@@ -264,7 +265,7 @@ class Pool:
                 contacts.warn(scene, target.numpy())
             count = sample_count(scene, number, spp)
             call = self._derivative(scene, plan, path, names, "forward", number, count, seed, target)
-            started.append((call, self._start(call, path, count, len(views.sensors), told)))
+            started.append((call, self._start(call, path, count, len(views.sensors), parcels, told)))
         images = dict(zip(views.sensors, (c.image(p) for c, p in self._finished(scene, started)), strict=True))
         if not views.several:
             return images[views.sensors[0]]
@@ -436,10 +437,11 @@ class Pool:
         integrator: PathIntegrator,
         spp: int,
         sensors: int,
+        sent: tuple[Parcel, Parcel],
         told: Fractions,
     ) -> Pending:
-        """Send the shares of a call."""
-        whole, change = self.parcels_of(call.scene)
+        """Send the shares of a call on a scene that was sent."""
+        whole, change = sent
         parcels, role, derivative, given = [whole, change], "image", None, ""
         if isinstance(call, calls.DerivativeCall):
             role = call.role
@@ -449,10 +451,10 @@ class Pool:
         told_to = jobs.Call(
             role, whole.digest, change.digest, call.sensor, integrator, spp, call.seed, derivative, given
         )
-        count = shares(self._engine.processes, sensors)
-        setting = self.setting()
-        sent = [Job(jobs.share, (setting, told_to, Share(n, count)), tuple(parcels)) for n in range(count)]
-        return self._engine.tree(sent, told.expect(count))
+        shards = call.shards if call.scene.device.is_cpu else workers.SHARDS
+        count, setting = shares(self._engine.processes, sensors, shards), self.setting()
+        drawn = [Job(jobs.share, (setting, told_to, Share(n, count)), tuple(parcels)) for n in range(count)]
+        return self._engine.tree(drawn, told.expect(count))
 
     def _finished(self, scene: Scene, started: list[tuple[Any, Pending]]):
         """Yield every call with what its shares add up to, and count the samples that they dropped."""

@@ -38,10 +38,13 @@ class Fractions:
             self._progress(min(self._done / self._all, 1.0))
 
 
-def shares(processes: int, calls: int) -> int:
-    """Return into how many shares each of some calls is split, a power of two; results do not depend on it."""
+def shares(processes: int, calls: int, shards: int) -> int:
+    """Return into how many shares each of some calls is split, a power of two; results do not depend on it.
+
+    ``shards``: of a call on the CPU.
+    """
     wanted = max(math.ceil(SHARES_PER_PROCESS * processes / calls), 1)
-    return min(workers.below(2 * wanted - 1), workers.SHARDS)
+    return min(workers.below(2 * wanted - 1), shards)
 
 
 def refuse_guiding(integrator: PathIntegrator) -> None:

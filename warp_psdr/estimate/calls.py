@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr import compiler
+from warp_psdr import compiler, workers
 from warp_psdr.device import launch
 from warp_psdr.estimate import choice, light
 from warp_psdr.estimate.arguments import flat
@@ -21,7 +21,7 @@ from warp_psdr.estimate.boundary.terms import Term, terms
 from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.estimate.guiding import automatic
-from warp_psdr.estimate.passes import STREAM_BOUNDARY, STREAM_PRIMAL, Progress, film_of, part, timed
+from warp_psdr.estimate.passes import STREAM_BOUNDARY, STREAM_PRIMAL, Progress, film_of, image_shards, part, timed
 from warp_psdr.image import Image
 from warp_psdr.kernels.films import add_splats, resolve
 from warp_psdr.kernels.reduction import add_image
@@ -52,6 +52,11 @@ class ImageCall:
     plan: Plan
     sensor: int
     seed: int
+
+    @property
+    def shards(self) -> int:
+        """Into how many shards the passes are split: there are no more shares that are not empty."""
+        return image_shards(self.scene, self.sensor)
 
     def kernels(self) -> list[wp.Kernel]:
         """Return what the call compiles."""
@@ -117,6 +122,11 @@ class DerivativeCall:
     seed: int
     given: wp.array
     boundary: list[Term]
+
+    @property
+    def shards(self) -> int:
+        """Into how many shards the passes are split: there are no more shares that are not empty."""
+        return workers.shard_count(self.scene.values.shape[0]) if self.role == "reverse" else workers.SHARDS
 
     @property
     def shape(self) -> tuple[int, int]:

@@ -143,8 +143,7 @@ def _splatted(
     margin = filter_margin(camera)
     raster = (camera.crop_width + 2 * margin, camera.crop_height + 2 * margin)
     width, height = camera.crop_width, camera.crop_height
-    reach = math.floor(camera.filter_radius + 0.5) + 1  # rows; one more than is exact
-    count = workers.below(min(workers.SHARDS, max(raster[1] // (2 * reach), 1))) if scene.device.is_cpu else 1
+    reach, count = _reach(camera), image_shards(scene, sensor)
     order = workers.pixel_order(*raster) if pixels is None else pixels.numpy()
     band = order // raster[0] * count // raster[1]
     order = wp.array(order[np.argsort(band, kind="stable")], dtype=wp.int32, device=scene.device)
@@ -177,6 +176,22 @@ def _splatted(
             launch(collect_band, dim=film.shape, inputs=[film, first_rows[shard]], outputs=[total], device=scene.device)
             film.zero_()
     return total
+
+
+def image_shards(scene: Scene, sensor: int) -> int:
+    """Return into how many shards the passes of an image are split."""
+    camera = scene.camera(sensor)
+    if not scene.device.is_cpu:
+        return 1
+    if not splats(camera):
+        return workers.SHARDS
+    height = camera.crop_height + 2 * filter_margin(camera)
+    return workers.below(min(workers.SHARDS, max(height // (2 * _reach(camera)), 1)))
+
+
+def _reach(camera: Camera) -> int:
+    """Return how many rows beside its own a sample counts for; one more than is exact."""
+    return math.floor(camera.filter_radius + 0.5) + 1
 
 
 def _gates(plan: Plan) -> list:
