@@ -60,7 +60,7 @@ CLUSTER = """
 import os, random, signal, sys, time
 from distributed import LocalCluster
 if __name__ == "__main__":
-    with LocalCluster(n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=None, silence_logs=50) as c:
+    with LocalCluster(n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=":0", silence_logs=50) as c:
         print(c.scheduler_address, flush=True)
         for line in sys.stdin:
             ready = []

@@ -35,7 +35,7 @@ def bounded() -> Iterator[None]:
 def client() -> Iterator:
     """Return Dask's client of a cluster of processes on this machine."""
     distributed = pytest.importorskip("distributed")
-    options = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": None}
+    options = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": ":0"}
     with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         yield client
 
