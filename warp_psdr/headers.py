@@ -16,9 +16,8 @@ from typing import Any
 
 import warp as wp
 
-from warp_psdr import forks
+from warp_psdr import forks, kernel_cache
 from warp_psdr.kernels.headers import include_headers
-from warp_psdr.quiet import quiet
 
 _lock = threading.Lock()
 _parsing: threading.Thread | None = None
@@ -50,9 +49,8 @@ def _forget_parsing() -> None:
 
 
 def _parse() -> None:
-    """Parse the headers; an error is for who compiles a kernel, and meets it again."""
-    with quiet():
-        wp.load_module(include_headers.module, device="cpu")
+    """Parse the headers, in one process; an error is for who compiles a kernel, and meets it again."""
+    kernel_cache.load(include_headers.module, wp.get_device("cpu"))
 
 
 def _shared_folder() -> str:

@@ -66,7 +66,8 @@ if __name__ == "__main__":
             ready = []
             while not ready:
                 time.sleep(0.01)
-                ready = [n.pid for n in list(c.workers.values()) if n.worker_address in c.scheduler.workers and n.pid]
+                nannies = [n for n in list(c.workers.values()) if n.worker_address in c.scheduler.workers]
+                ready = [n.pid for n in nannies if n.pid and n.process.status.name == n.status.name == "running"]
             os.kill(random.choice(ready), signal.SIGKILL)
             print("killed", flush=True)
 """
