@@ -388,14 +388,14 @@ def test_a_view_that_comes_twice_in_a_step_is_drawn_anew() -> None:
     config = SimpleNamespace(targets=["a", "b", "c"], views_per_step=2, seed=0, lr_half_life=None)
     drawn: list[tuple[int, int]] = []
 
-    def backward(view: int, seed: int, weight: float) -> float:
-        drawn.append((view, seed))
-        return 1.0
+    def backward_all(views, _following) -> list[float]:
+        drawn.extend((view, seed) for view, seed, _weight in views)
+        return [1.0] * len(views)
 
     twice = 0
     for step in range(30):
         drawn.clear()
-        _step(SimpleNamespace(config=config, backward=backward), SimpleNamespace(step=lambda scale: None), step)
+        _step(SimpleNamespace(config=config, backward_all=backward_all), SimpleNamespace(step=lambda scale: None), step)
         assert len(set(drawn)) == len(drawn) == 2
         twice += drawn[0][0] == drawn[1][0]
     assert twice > 0
