@@ -36,6 +36,8 @@ if TYPE_CHECKING:
 SMALL = 1 << 12
 #: Data from this size on is copied between Dask's workers; it has to be sent anew if all that have it are lost.
 LARGE = 8 << 20
+#: Parcels whose way is remembered.
+REMEMBERED = 4096
 #: Seconds that a process has to end by itself.
 PATIENCE = 5.0
 #: Seconds between two looks at a client that looks for its scheduler.
@@ -230,6 +232,8 @@ class Processes:
         self, job: Job, arrived: Callable[[Executor, Future], None], pending: Pending, missing: tuple[str, ...]
     ) -> None:
         data: dict[str, bytes | None] = {}
+        if len(self._times_sent) > REMEMBERED:
+            self._times_sent.clear()
         for parcel in job.parcels:
             times = self._times_sent.get(parcel.digest, 0)
             send = len(parcel.data) <= SMALL or times < self.processes or parcel.digest in missing
