@@ -54,11 +54,13 @@ resolution = {SIZE}
 lr = 0.02
 initial = 0.3
 """
-#: A cluster that prints its address, and kills a worker that runs for every line that it reads. Dask gives up one that
-#: is killed while it starts.
+#: A cluster that prints its address, and kills a worker that runs for every line that it reads. By its default it would
+#: close a worker for good that starts anew when one of its name was lost 15 s before.
 CLUSTER = """
 import os, random, signal, sys, time
+import dask
 from distributed import LocalCluster
+dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
 if __name__ == "__main__":
     with LocalCluster(n_workers=int(sys.argv[1]), threads_per_worker=1, dashboard_address=":0", silence_logs=50) as c:
         print(c.scheduler_address, flush=True)

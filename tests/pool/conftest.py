@@ -34,9 +34,11 @@ def bounded() -> Iterator[None]:
 @pytest.fixture(scope="module")
 def client() -> Iterator:
     """Return Dask's client of a cluster of processes on this machine."""
-    distributed = pytest.importorskip("distributed")
+    dask, distributed = pytest.importorskip("dask"), pytest.importorskip("distributed")
     options = {"n_workers": 1, "threads_per_worker": 2, "processes": True, "dashboard_address": ":0"}
-    with distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
+    # Else a cluster closes a worker for good that starts anew when one of its name was lost 15 s before.
+    kept = dask.config.set({"distributed.deploy.lost-worker-timeout": "1h"})
+    with kept, distributed.LocalCluster(**options) as cluster, distributed.Client(cluster) as client:
         yield client
 
 
