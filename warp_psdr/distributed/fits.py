@@ -20,7 +20,7 @@ from warp_psdr.distributed.shares import count, refuse_guiding
 from warp_psdr.distributed.wire import Parcel, parcel, unpack
 from warp_psdr.estimate import choice
 from warp_psdr.fit.config import FitConfig
-from warp_psdr.fit.run import FitResult, Problem, fit
+from warp_psdr.fit.run import CHECKPOINT, FitResult, Problem, fit, require_free
 from warp_psdr.kernels.reduction import add_range
 from warp_psdr.plan.plan import decide
 from warp_psdr.progress import progress, silence
@@ -107,10 +107,10 @@ class Views:
         return found
 
 
-def run_fit(setting: jobs.Setting, config: FitConfig, resume: bool, overwrite: bool) -> FitResult:
-    """Run a whole fit in this process; one that was begun here or elsewhere is resumed if its process was lost."""
+def run_fit(setting: jobs.Setting, config: FitConfig) -> FitResult:
+    """Run a whole fit in this process, or what is left of one whose process was lost."""
     with jobs.alone(setting), silence():
-        return fit(config, resume=resume, overwrite=overwrite)
+        return fit(config, resume=True)
 
 
 def map_fits(
@@ -121,7 +121,11 @@ def map_fits(
     outputs = [c.output.resolve() for c in loaded]
     if len(set(outputs)) < len(outputs):
         raise ValueError("map_fits: two fits write to one folder; give each an output of its own")
-    futures = {pool.call(run_fit, config, resume, overwrite): i for i, config in enumerate(loaded)}
+    for config in loaded:  # here, and once: a fit that is begun again because its process was lost goes on
+        require_free(config.output / CHECKPOINT, resume or overwrite)
+        if overwrite:
+            (config.output / CHECKPOINT).unlink(missing_ok=True)
+    futures = {pool.call(run_fit, config): i for i, config in enumerate(loaded)}
     results: dict[int, FitResult] = {}
     errors: list[Exception] = []
     try:

@@ -342,7 +342,7 @@ class Pool:
         """Run independent fits side by side, each in one process: many starts, many scenes.
 
         Processes read the files that the configurations name, and write the results, so they share a file system. One
-        whose process is lost is started again; with ``resume`` it goes on from its checkpoint.
+        whose process is lost goes on from its checkpoint in another.
 
         Args:
             configs: what to do, each with an output folder of its own.
@@ -353,7 +353,8 @@ class Pool:
             Their results, in the order of the configurations.
 
         Raises:
-            ValueError: the pool is closed, or two fits have one output folder.
+            ValueError: the pool is closed, two fits have one output folder, or there is a checkpoint that is neither to
+                be resumed nor to be lost.
             ExceptionGroup: of the errors of those that failed, after all others have ended.
         """
         from warp_psdr.distributed.fits import map_fits

@@ -87,14 +87,18 @@ def choose(
 
 def taken(scene: Scene, plan: Plan, names: list[str]) -> Branches | None:
     """Return the method that a pilot chose for a plan that ``choose`` returned; None: the plan has its own."""
-    found = choice.known(scene, names, plan.max_depth)
-    return found.method if plan.offered and found.method is not None and plan == choice.by(plan, found.method) else None
+    if not plan.offered:
+        return None
+    method = choice.known(scene, names, plan.max_depth).method
+    return method if method is not None and plan == choice.by(plan, method) else None
 
 
 def due(scene: Scene, plan: Plan, names: list[str]) -> bool:
     """Return whether ``choose`` would run a pilot now, which needs what it is given."""
+    if not plan.offered:
+        return False
     found = choice.known(scene, names, plan.max_depth)
-    return bool(plan.offered) and not found.decided and found.spent >= SPENT
+    return not found.decided and found.spent >= SPENT
 
 
 def decide(

@@ -186,7 +186,7 @@ def fit(
         config = replace(config, iterations=iterations)
     path = config.output / CHECKPOINT
     may_exist = resume or overwrite
-    _require_free(path, may_exist)
+    require_free(path, may_exist)
     problem = load_problem(config)
     problem.pool = pool
     adam = optim.Adam(
@@ -197,11 +197,11 @@ def fit(
     )
     config.output.mkdir(parents=True, exist_ok=True)
     with held(config.output):
-        _require_free(path, may_exist)  # a run may have ended there since
+        require_free(path, may_exist)  # a run may have ended there since
         return _fit(problem, adam, path, resume=resume)
 
 
-def _require_free(path: Path, may_exist: bool) -> None:
+def require_free(path: Path, may_exist: bool) -> None:
     """Raise if there is a checkpoint that nobody wants to continue, or to lose."""
     if path.exists() and not may_exist:
         raise ValueError(f"{path} exists: resume it (--resume), start again (--overwrite), or choose another output")
