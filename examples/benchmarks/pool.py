@@ -3,7 +3,7 @@
     python examples/benchmarks/pool.py [--parts NAME ...] [--quick] [--output results.jsonl]
 
 "image", "colours", "pose" and "fit" compare calls, and steps of a fit: 1 means that two processes are as fast as two
-threads. "job" renders 8 x 8 pixels with one sample, so that nearly all of the time is what a job costs beside its work.
+threads. "job" renders 64 x 64 pixels with one sample in shares: most of the time is what a job costs beside its work.
 "bytes" edits all values of a parameter and asks for a gradient. "scheduler" runs tiny jobs on more and more workers;
 Dask's scheduler is a process of its own there, whose processor time a job says how many jobs a second it can serve.
 "plan" computes from these what a thousand workers do; it reads the other parts from a file that ``--output`` wrote.
@@ -39,7 +39,7 @@ TEXTURE, VERTICES = "ball.bsdf.reflectance.data", "ball.vertex_positions"
 #: Rows and columns of the ball's mesh, 2 * 224 * 224 triangles.
 ROWS = 224
 #: Titles of the tables that the plan reads.
-JOB, SUMS = "A job of 8² pixels and one sample", "Two shares of half of it are added up"
+JOB, SUMS = "A job of some hundred pixels and one sample", "Two shares of half of it are added up"
 SCHEDULER = "Tiny jobs on Dask, workers share the cores"
 #: Workers that are planned for, and the share of a call that its overhead may take.
 PLANNED, SHARE = 1000, 0.1
@@ -269,7 +269,7 @@ def write_xml(file: Path, described: dict) -> None:
 
 def job(report: Report, options: Namespace) -> None:
     """What a job costs beside its work."""
-    scene, calls, rows = psdr.load_file(psdr.scenes.cornell_box, resolution=8), 5 if options.quick else 20, []
+    scene, calls, rows = psdr.load_file(psdr.scenes.cornell_box, resolution=64), 5 if options.quick else 20, []
     for processes in (1, TWO):
         with pools(processes, options.engines) as by_name:
             for name, pool in by_name.items():
