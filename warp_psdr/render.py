@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import compiler
-from warp_psdr.device import active_tape, launch
+from warp_psdr.device import active_tape
 from warp_psdr.estimate import light
 from warp_psdr.estimate.arguments import (
     adjoint_array,
@@ -25,13 +25,12 @@ from warp_psdr.estimate.arguments import samples as checked_samples
 from warp_psdr.estimate.calls import ImageCall, derivative
 from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.films import Rectangle, film
-from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.gradient_sums import GradientSums, add_to_gradient
 from warp_psdr.estimate.passes import Progress
 from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, require_range, shape_of_views
 from warp_psdr.film import Film
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
-from warp_psdr.kernels.reduction import add_range
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
@@ -290,7 +289,7 @@ def render_backward(
         values, bought = budget.spend(what, wanted, seed=seed, progress=progress)
         for name, block in what.blocks.items():
             total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
-            _add(scene, params, name, total, 0)
+            add_to_gradient(scene, params, name, total, 0)
         return bought
     integrator = integrator_of(scene, integrator)
     names, seed = requested(scene, params), checked_seed(seed)
@@ -323,15 +322,8 @@ def render_backward(
     call.add(draw, sums, progress)
     total = sums.result()
     for name in names:
-        _add(scene, params, name, total, scene.parameters[name].offset)
+        add_to_gradient(scene, params, name, total, scene.parameters[name].offset)
     return None
-
-
-def _add(scene: Scene, params: Parameters, name: str, total: wp.array, offset: int) -> None:
-    """Add a stretch of a flat gradient to a parameter's own."""
-    size, grad = scene.parameters[name].size, params[name].grad
-    flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=scene.device, copy=False)
-    launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=scene.device)
 
 
 @warns

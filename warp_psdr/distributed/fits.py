@@ -13,15 +13,14 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
-from warp_psdr.device import launch
 from warp_psdr.distributed import jobs
 from warp_psdr.distributed.engines import Job, Pending
 from warp_psdr.distributed.shares import count, refuse_guiding
 from warp_psdr.distributed.wire import Parcel, parcel, unpack
 from warp_psdr.estimate import choice
+from warp_psdr.estimate.gradient_sums import add_to_gradient
 from warp_psdr.fit.config import FitConfig
 from warp_psdr.fit.run import CHECKPOINT, FitResult, Problem, fit, require_free
-from warp_psdr.kernels.reduction import add_range
 from warp_psdr.plan.plan import decide
 from warp_psdr.progress import progress, silence
 
@@ -100,10 +99,8 @@ class Views:
             total = wp.array(unpack(done.parts["gradient"]), dtype=wp.float32, device=scene.device)
             first = 0
             for name in names:
-                p, view = scene.parameters[name], problem.params[name].grad
-                into = wp.array(ptr=view.ptr, dtype=wp.float32, shape=(p.size,), device=scene.device, copy=False)
-                launch(add_range, dim=p.size, inputs=[total, first], outputs=[into], device=scene.device)
-                first += p.size
+                add_to_gradient(scene, problem.params, name, total, first)
+                first += scene.parameters[name].size
         return found
 
 

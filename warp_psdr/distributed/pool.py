@@ -16,7 +16,6 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import workers
-from warp_psdr.device import launch
 from warp_psdr.distributed import jobs
 from warp_psdr.distributed.engines import Dask, Engine, Job, Pending, Processes
 from warp_psdr.distributed.shares import Fractions, count, on_device, refuse_guiding, shares
@@ -32,10 +31,10 @@ from warp_psdr.estimate.arguments import (
     requested,
     sample_count,
 )
-from warp_psdr.estimate.views import assembled, count_of_views, of_one, shape_of_views
+from warp_psdr.estimate.gradient_sums import add_to_gradient
+from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, shape_of_views
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
-from warp_psdr.kernels.reduction import add_range
 from warp_psdr.options.integrator import Integrator, PathIntegrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import Plan, decide
@@ -50,9 +49,10 @@ if TYPE_CHECKING:
     from distributed import Client
 
     from warp_psdr.accuracy import report as accuracy
-    from warp_psdr.distributed.fits import Views
+    from warp_psdr.distributed import fits
     from warp_psdr.fit.config import FitConfig
     from warp_psdr.fit.run import FitResult
+    from warp_psdr.scene.description import Views
     from warp_psdr.scene.edits import State
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
@@ -103,10 +103,7 @@ class Pool:
     @property
     def report(self) -> Report:
         """What was done so far."""
-        traffic = self._engine.traffic
-        return Report(
-            self._engine.processes, traffic.jobs, traffic.sent, traffic.received, traffic.lost, traffic.seconds
-        )
+        return Report(self._engine.processes, **vars(self._engine.traffic))
 
     @warns
     def render(
@@ -148,10 +145,7 @@ class Pool:
             call = calls.ImageCall(scene, decide(scene, integrator=path, sensor=number), number, seed)
             count = sample_count(scene, number, spp)
             started.append((call, self._start(call, path, count, len(views.sensors), parcels, told)))
-        images = dict(zip(views.sensors, (c.finish(p) for c, p in self._finished(scene, started)), strict=True))
-        if not views.several:
-            return images[views.sensors[0]]
-        return assembled(scene, views, lambda number, _told: images[number], None)
+        return _image(scene, views, [call.finish(parts) for call, parts in self._finished(scene, started)])
 
     @warns
     def render_backward(
@@ -193,13 +187,11 @@ class Pool:
         spp = count_of_views(scene, views, spp) if views.several else spp
         whole = shape_of_views(scene, views) if views.several else shape_of(scene, views.sensors[0])
         adjoints = adjoint_array(adjoint, whole, scene.device)
-        width = whole[-1] // len(views.sensors)
         started, parcels = [], self.parcels_of(scene)
         told = Fractions(progress)
-        for i, number in enumerate(views.sensors):
+        for number, place, _told in each(scene, views, None):
             own = adjoints
             if views.several:
-                place = i if views.batch is None else i * width
                 own = adjoint_array(
                     of_one(scene, views, adjoints.numpy(), place), shape_of(scene, number), scene.device
                 )
@@ -213,9 +205,7 @@ class Pool:
             for name in names:
                 p = scene.parameters[name]
                 gradient[name] += total.numpy()[p.offset : p.offset + p.size].reshape(p.numpy_shape)
-                view = params[name].grad
-                into = wp.array(ptr=view.ptr, dtype=wp.float32, shape=(p.size,), device=scene.device, copy=False)
-                launch(add_range, dim=p.size, inputs=[total, p.offset], outputs=[into], device=scene.device)
+                add_to_gradient(scene, params, name, total, p.offset)
         return gradient
 
     @warns
@@ -266,10 +256,8 @@ class Pool:
             count = sample_count(scene, number, spp)
             call = self._derivative(scene, plan, path, names, "forward", number, count, seed, target)
             started.append((call, self._start(call, path, count, len(views.sensors), parcels, told)))
-        images = dict(zip(views.sensors, (c.image(p) for c, p in self._finished(scene, started)), strict=True))
-        if not views.several:
-            return images[views.sensors[0]]
-        return assembled(scene, views, lambda number, _told: images[number], None, signed=True)
+        images = [call.image(parts) for call, parts in self._finished(scene, started)]
+        return _image(scene, views, images, signed=True)
 
     def accuracy(
         self,
@@ -388,7 +376,7 @@ class Pool:
         return self._engine.call(function, self.setting(), *arguments)
 
     @functools.cached_property
-    def views(self) -> Views:
+    def views(self) -> fits.Views:
         """The views of fits."""
         from warp_psdr.distributed.fits import Views
 
@@ -462,6 +450,14 @@ class Pool:
         for done, (call, _pending) in zip(self.wait([p for _call, p in started]), started, strict=True):
             count(scene, done)
             yield call, {kind: on_device(unpack(part), scene) for kind, part in done.parts.items()}
+
+
+def _image(scene: Scene, views: Views, images: list[Image], *, signed: bool = False) -> Image:
+    """Return the images of a call's sensors as one."""
+    if not views.several:
+        return images[0]
+    found = dict(zip(views.sensors, images, strict=True))
+    return assembled(scene, views, lambda number, _told: found[number], None, signed=signed)
 
 
 def _connected(address: str) -> Client:

@@ -13,10 +13,11 @@ import warp as wp
 
 from warp_psdr import workers
 from warp_psdr.device import launch
-from warp_psdr.kernels.reduction import round_range
+from warp_psdr.kernels.reduction import add_range, round_range
 from warp_psdr.scene.derived_values import derived_ranges, pull_derived
 
 if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
 
@@ -96,6 +97,13 @@ class GradientSums:
         if self._sums.shape[0] > 1:  # never on CUDA
             for offset, size in self._ranges:
                 workers.add_pairs(self._sums.numpy()[:, offset : offset + size])
+
+
+def add_to_gradient(scene: Scene, params: Parameters, name: str, total: wp.array, offset: int) -> None:
+    """Add a stretch of flat values, float32, to a parameter's own gradient."""
+    size, grad = scene.parameters[name].size, params[name].grad
+    flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=scene.device, copy=False)
+    launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=scene.device)
 
 
 def _united(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -190,8 +190,8 @@ def image_shards(scene: Scene, sensor: int) -> int:
 
 
 def _reach(camera: Camera) -> int:
-    """Return how many rows beside its own a sample counts for; one more than is exact."""
-    return math.floor(camera.filter_radius + 0.5) + 1
+    """Return how many rows beside its own a sample may be written to, also with a weight of zero or after rounding."""
+    return filter_reach(camera) + 1
 
 
 def _gates(plan: Plan) -> list:
