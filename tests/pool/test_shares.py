@@ -30,6 +30,16 @@ CASES = {
     "edges": (gap, ("floor.vertex_positions", "ceiling.to_world"), measure.integrator(4)),
     "wide filter": (lambda: gap(rfilter="gaussian"), ("floor.vertex_color",), measure.integrator(4)),
     "one row of pixels": (lambda: gap(size=1), ("floor.vertex_color",), measure.integrator(4)),
+    "glass under an environment map": (
+        lambda: {"type": "scene", **scenes.glass_scene()},
+        ("ball.bsdf.eta", "env.to_world"),
+        measure.integrator(4, boundary=None),
+    ),
+    "textures and vertex normals": (
+        lambda: {"type": "scene", **scenes.checkered_scene()},
+        ("floor.vertex_normals", "floor.vertex_texcoords"),
+        measure.integrator(3, boundary=None),
+    ),
     "light paths": (
         lambda: corner(lamp=lamp()),
         (FLOOR, "lamp.emitter.radiance.value"),
