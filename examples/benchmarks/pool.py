@@ -412,7 +412,7 @@ def plan(report: Report, file: Path) -> None:
     found = measured(file)
     speed = found[SCHEDULER][-1]["tasks a second, at most"]
     sums = {row["sum"]: row for row in found[SUMS]}
-    # Of a tiny call: what is not work.
+    # What a tiny call takes beside its work.
     latency = max(row["beside it, ms"] * row["jobs a call"] for row in found[JOB] if row["jobs run by"] == "Dask") / 1e3
     rows = []
     for what, result, numbers, cameras, views in (

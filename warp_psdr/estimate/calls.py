@@ -130,7 +130,7 @@ class DerivativeCall:
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Of the image as kernels take it."""
+        """The image's shape as kernels take it."""
         height, width, *bins = shape_of(self.scene, self.sensor)
         return height, width * (bins[0] if bins else 1)
 
