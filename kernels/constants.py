@@ -68,15 +68,6 @@ PHASE_SGGX_GRID = 7  # microflakes whose S is a grid
 NO_MEDIUM = -1
 NO_INTERFACE = -2
 
-# Shapes without triangles (``kernels/primitive``).
-PRIMITIVE_SPHERE = 0
-PRIMITIVE_SDFGRID = 1
-PRIMITIVE_DISK = 2
-PRIMITIVE_CYLINDER = 3
-PRIMITIVE_LINEARCURVE = 4
-PRIMITIVE_BSPLINECURVE = 5
-PRIMITIVE_SDFGRID_CUBIC = 6
-PRIMITIVE_NEURALSDF = 7
 #: Stands among the kinds of a scene, of which no shape has it, where vertices flow along continuous normals.
 NORMAL_FLOW = 64
 

@@ -2,11 +2,14 @@
 
 import functools
 import hashlib
+import inspect
 import linecache
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, get_args, get_origin
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.math import where3
 
 
@@ -51,3 +54,53 @@ def make_select(record: type) -> wp.Function:
 def make_struct(name: str, members: dict[str, Any]) -> type:
     """Return the Warp struct ``name`` with these members: name -> type."""
     return wp.struct(type(name, (), {"__annotations__": members, "__module__": __name__, "__qualname__": name}))
+
+
+def make_switch(
+    name: str,
+    test: str,
+    functions: Mapping[int, wp.Function],
+    otherwise: wp.Function | None = None,
+    anchored: bool = False,
+) -> wp.Function | None:
+    """Return the function ``name``, which calls the one of several whose number a value has; all take the same.
+
+    Args:
+        name: of the function.
+        test: the value, an expression of the functions' arguments.
+        functions: number -> function.
+        otherwise: what is called for other numbers. None: there are none, the last function is called without a test,
+            and a single function is returned as it is.
+        anchored: some of the functions call ``wp.grad`` (``autodiff.py``).
+
+    Returns:
+        The function; ``otherwise`` if there is nothing to choose from.
+    """
+    links = list(functions.items())
+    if otherwise is None and links:
+        otherwise = links.pop()[1]
+    if otherwise is None or not links:
+        return otherwise
+    signature = inspect.signature(otherwise.func)
+    result = signature.return_annotation
+    scope: dict[str, Any] = {f"t{i}": p.annotation for i, p in enumerate(signature.parameters.values())}
+    scope |= {f"f{i}": function for i, (_number, function) in enumerate(links)}
+    scope |= {"rest": otherwise, "result": result, "anchor": anchor}
+    parameters = ", ".join(f"{p}: t{i}" for i, p in enumerate(signature.parameters))
+    arguments = ", ".join(signature.parameters)
+    values = ", ".join(f"r{i}" for i in range(len(get_args(result)))) if get_origin(result) is tuple else ""
+
+    def call(function: str) -> list[str]:
+        if result is inspect.Signature.empty:
+            return [f"{function}({arguments})", "return"]
+        if values:
+            return [f"{values} = {function}({arguments})", f"return {values}"]
+        return [f"return {function}({arguments})"]
+
+    lines = [f"def {name}({parameters}){'' if result is inspect.Signature.empty else ' -> result'}:"]
+    if anchored:
+        lines.append("    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py")
+    for i, (number, _function) in enumerate(links):
+        lines += [f"    if {test} == {number}:", *(f"        {line}" for line in call(f"f{i}"))]
+    lines += [f"    {line}" for line in call("rest")]
+    return make_generated("\n".join([*lines, ""]), **scope)

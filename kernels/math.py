@@ -6,6 +6,8 @@ have derivative zero where the plain ones have none.
 
 import warp as wp
 
+from warp_psdr.kernels.constants import INV_TWO_PI
+
 #: Below it a squared length or a radicand counts as zero; its root, 1e-15, is far below float32's resolution of one.
 TINY = 1.0e-30
 #: sin^2 of the angle between a normal and a tangent below which the tangent says nothing.
@@ -149,3 +151,10 @@ def refract_local(wi: wp.vec3, g: wp.float32, eta: wp.float32) -> wp.vec3:
     ``g = sqrt(eta^2 - 1 + wi.z^2)``, which is ``eta`` times the cosine on the other side (see ``fresnel.py``).
     """
     return wp.vec3(-wi[0], -wi[1], wp.where(wi[2] < 0.0, g, -g)) / eta
+
+
+@wp.func
+def share_of_turn(y: wp.float32, x: wp.float32) -> wp.float32:
+    """The angle of (x, y) as a share of a turn, in [0, 1)."""
+    t = wp.atan2(y, x) * INV_TWO_PI
+    return wp.min(wp.where(t < 0.0, t + 1.0, t), 0.9999999)

@@ -70,7 +70,7 @@ class PathConfig:
     most_vertices: int = 0
     #: Participating media, whose paths are those of ``path_media.py``; None: there are none.
     media: MediaConfig | None = None
-    #: Kinds of shapes without triangles (PRIMITIVE_*, ``primitive/dispatch.py``).
+    #: Numbers of the kinds of shapes without triangles (``primitive/table.py``).
     primitives: tuple[int, ...] = ()
     #: Those of them that shine (``primitive/shining.py``).
     shining: tuple[int, ...] = ()

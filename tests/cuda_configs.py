@@ -5,6 +5,7 @@ from dataclasses import replace
 from tests.config_helpers import LIGHTS, SIMPLE, TEXTURES, joined, materials, wanted
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
+from warp_psdr.kernels.primitive import table as K
 from warp_psdr.kernels.sensor.time_gate import PULSE_BOX, PULSE_GAUSSIAN
 from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 
@@ -51,23 +52,21 @@ MIRROR_LIGHTS = PathConfig(
 )
 CAUSTICS = PathConfig(**{**vars(MIRROR_LIGHTS), "caustics": True})
 #: Shapes without triangles beside those with.
-KINDS = (c.PRIMITIVE_SPHERE, c.PRIMITIVE_DISK, c.PRIMITIVE_CYLINDER)
+KINDS = (K.SPHERE.number, K.DISK.number, K.CYLINDER.number)
 EXACT = PathConfig(**{**vars(SIMPLE), "uv": True, "tangent": True, "primitives": KINDS, "shining": KINDS})
 #: A sphere beside triangles, whose silhouettes rays move with.
-SPHERE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SPHERE,)})
-SPLINE = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC,)})
+SPHERE = PathConfig(**{**vars(SIMPLE), "primitives": (K.SPHERE.number,)})
+SPLINE = PathConfig(**{**vars(SIMPLE), "primitives": (K.CUBIC_GRID.number,)})
 EXACT_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": KINDS})
-NETWORK = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_NEURALSDF,)})
-EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SPHERE,)})
-DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_SPHERE, c.PRIMITIVE_SDFGRID)})
-DISTANCES_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (c.PRIMITIVE_SDFGRID,)})
-CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (c.PRIMITIVE_SDFGRID_CUBIC, c.PRIMITIVE_NEURALSDF)})
+NETWORK = PathConfig(**{**vars(SIMPLE), "primitives": (K.NETWORK.number,)})
+EXACT_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (K.SPHERE.number,)})
+DISTANCES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (K.SPHERE.number, K.LINEAR_GRID.number)})
+DISTANCES_LIGHTS = PathConfig(**{**vars(ALL_LIGHTS), "primitives": (K.LINEAR_GRID.number,)})
+CUBIC = PathConfig(**{**vars(SIMPLE), "primitives": (K.CUBIC_GRID.number, K.NETWORK.number)})
 FLOW = PathConfig(**{**vars(CUBIC), "primitives": (*CUBIC.primitives, c.NORMAL_FLOW)})
-CURVES = PathConfig(
-    **{**vars(SIMPLE), "tangent": True, "primitives": (c.PRIMITIVE_LINEARCURVE, c.PRIMITIVE_BSPLINECURVE)}
-)
+CURVES = PathConfig(**{**vars(SIMPLE), "tangent": True, "primitives": (K.CONES.number, K.TUBES.number)})
 #: Grids and curves, and networks, that mirrors show.
-SLIDING = (c.PRIMITIVE_SDFGRID, c.PRIMITIVE_SDFGRID_CUBIC, *CURVES.primitives)
+SLIDING = (K.LINEAR_GRID.number, K.CUBIC_GRID.number, *CURVES.primitives)
 SLIDING_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": SLIDING})
 NEURAL_MIRRORS = PathConfig(**{**vars(MIRROR_LIGHTS), "primitives": CUBIC.primitives})
 MIRRORS = PathConfig(**{**vars(SIMPLE), **materials("conductor", "dielectric")})

@@ -16,7 +16,7 @@ from warp_psdr.kernels import modules
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
 DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
-DEVICE_IMPORTS |= {"hashlib", "linecache"}  # for functions whose text is made (kernels/generated.py)
+DEVICE_IMPORTS |= {"hashlib", "inspect", "linecache"}  # for functions whose text is made (kernels/generated.py)
 MAX_LINES = 500
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (

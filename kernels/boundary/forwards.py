@@ -10,7 +10,8 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.primitive.dispatch import CURVES
+from warp_psdr.kernels.primitive.curve_kinds import CURVES
+from warp_psdr.kernels.primitive.dispatch import has_outside_alone
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
@@ -45,7 +46,7 @@ def make_hidden(config: PathConfig):
     What is nearer than ``near`` does not count.
     """
     visibility = visibility_of(config)
-    forwards = bool(set(CURVES) & set(config.primitives))
+    forwards = has_outside_alone(config.primitives)
 
     @wp.func
     def hidden(scene: Scene, x: wp.vec3, origin: wp.vec3, near: wp.float32) -> wp.bool:

@@ -1,7 +1,6 @@
 """All light sources except area lights behind one set of functions, compiled for the kinds that a scene holds."""
 
 import functools
-from collections.abc import Callable
 from typing import NamedTuple
 
 import warp as wp
@@ -25,8 +24,9 @@ from warp_psdr.kernels.emitter.envmap import make_envmap
 from warp_psdr.kernels.emitter.point import make_point
 from warp_psdr.kernels.emitter.projector import make_projector
 from warp_psdr.kernels.emitter.spot import make_spot, make_textured_spot
+from warp_psdr.kernels.generated import make_switch
 from warp_psdr.kernels.reading import emitter_at
-from warp_psdr.kernels.structs import Emitter, LightAdjoint, LightSample, Scene
+from warp_psdr.kernels.structs import LightAdjoint, Scene
 
 ENVIRONMENTS = {EMITTER_CONSTANT: make_constant, EMITTER_ENVMAP: make_envmap}
 WITHOUT_AREA = {
@@ -91,14 +91,14 @@ def make_lights(kinds: tuple[int, ...], role: str | None, wanted: tuple[str, ...
     deltas = {kind: model for kind, model in models.items() if kind in DELTA_LIGHTS}
     environment_eval, environment_pdf, environment_eval_pdf, environment_vjp = None, None, None, None
     if environments:
-        environment_eval = _environment_eval(_chain(_either_eval, environments, "eval"))
-        environment_pdf = _environment_pdf(_chain(_either_pdf, environments, "pdf"))
-        environment_eval_pdf = _environment_eval_pdf(_chain(_either_eval_pdf, environments, "eval_pdf"))
+        environment_eval = _environment_eval(_chain(environments, "eval"))
+        environment_pdf = _environment_pdf(_chain(environments, "pdf"))
+        environment_eval_pdf = _environment_eval_pdf(_chain(environments, "eval_pdf"))
     if environments and role is not None:
-        environment_vjp = _environment_vjp(_chain(_either_eval_vjp, environments, "eval_vjp"))
+        environment_vjp = _environment_vjp(_chain(environments, "eval_vjp", anchored=True))
     return LightFunctions(
-        sample=_chain(_either_sample, models, "sample"),
-        sample_vjp=_chain(_either_sample_vjp, deltas, "sample_vjp") if role is not None else None,
+        sample=_chain(models, "sample"),
+        sample_vjp=_chain(deltas, "sample_vjp", anchored=True) if role is not None else None,
         environment_eval=environment_eval,
         environment_pdf=environment_pdf,
         environment_eval_pdf=environment_eval_pdf,
@@ -111,87 +111,10 @@ def make_delta_sample(kinds: tuple[int, ...]) -> wp.Function | None:
     return make_lights(tuple(k for k in kinds if k in DELTA_LIGHTS), None, ()).sample
 
 
-def _chain(either: Callable, models: dict, name: str) -> wp.Function | None:
-    """Nest ``either(kind, f, rest)`` over the models, so that one model needs no test of its kind."""
-    chained = None
-    for kind, model in reversed(models.items()):
-        function = getattr(model, name)
-        chained = function if chained is None else either(kind, function, chained)
-    return chained
-
-
-def _either_sample(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:
-        if e.kind == kind:
-            return f(scene, e, x, u)
-        return rest(scene, e, x, u)
-
-    return sample
-
-
-def _either_sample_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def sample_vjp(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        e: Emitter,
-        x: wp.vec3,
-        wi: wp.vec3,
-        w: wp.vec3,
-        a_wi: wp.vec3,
-    ) -> LightAdjoint:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        if e.kind == kind:
-            return f(scene, target, e, x, wi, w, a_wi)
-        return rest(scene, target, e, x, wi, w, a_wi)
-
-    return sample_vjp
-
-
-def _either_eval(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def radiance(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.vec3:
-        if e.kind == kind:
-            return f(scene, e, direction)
-        return rest(scene, e, direction)
-
-    return radiance
-
-
-def _either_pdf(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> wp.float32:
-        if e.kind == kind:
-            return f(scene, e, direction)
-        return rest(scene, e, direction)
-
-    return pdf
-
-
-def _either_eval_pdf(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def eval_pdf(scene: Scene, e: Emitter, direction: wp.vec3) -> tuple[wp.vec3, wp.float32]:
-        if e.kind == kind:
-            found, density = f(scene, e, direction)
-            return found, density
-        other, other_density = rest(scene, e, direction)
-        return other, other_density
-
-    return eval_pdf
-
-
-def _either_eval_vjp(kind: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def eval_vjp(
-        scene: Scene, target: wp.array(dtype=wp.float32), e: Emitter, direction: wp.vec3, w: wp.vec3
-    ) -> LightAdjoint:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        if e.kind == kind:
-            return f(scene, target, e, direction, w)
-        return rest(scene, target, e, direction, w)
-
-    return eval_vjp
+def _chain(models: dict, name: str, anchored: bool = False) -> wp.Function | None:
+    """Return the function that calls the one of a light's kind; None: there are no models."""
+    functions = {kind: getattr(model, name) for kind, model in models.items()}
+    return make_switch(f"light_{name}", "e.kind", functions, anchored=anchored)
 
 
 def _environment_eval(f: wp.Function) -> wp.Function:

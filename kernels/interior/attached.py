@@ -22,7 +22,6 @@ from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
@@ -34,6 +33,7 @@ from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.vertex_motion import VertexTangent
 
 
 @wp.struct

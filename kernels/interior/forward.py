@@ -20,13 +20,7 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import (
-    VertexTangent,
-    local_jvp,
-    log_geometry_jvp,
-    make_frame_jvp,
-    normalize_jvp,
-)
+from warp_psdr.kernels.interior.tangents import local_jvp, log_geometry_jvp, make_frame_jvp
 from warp_psdr.kernels.interior.tilts import make_tilts, upright
 from warp_psdr.kernels.interior.time_gated_forward import make_time_gated_forward_kernel
 from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
@@ -34,12 +28,19 @@ from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, 
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.primitive.dispatch import flows_on, has_flow, has_slides, make_position, slides_on
-from warp_psdr.kernels.primitive.velocity import make_velocity
+from warp_psdr.kernels.primitive.dispatch import (
+    flows_on,
+    has_flow,
+    has_slides,
+    make_position,
+    make_velocity,
+    slides_on,
+)
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.vertex_motion import VertexTangent, normalize_jvp
 
 
 @wp.struct

@@ -16,12 +16,12 @@ from warp_psdr.kernels.bsdf.model import TEXTURE
 from warp_psdr.kernels.bsdf.record import Slot, merge_values
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.interior.velocities import make_material_jvp
 from warp_psdr.kernels.invalid import LARGEST
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex_motion import VertexTangent
 
 #: Colours that are branched: the complex index of refraction.
 INDICES = ("eta", "k")

@@ -9,8 +9,8 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 from warp_psdr.kernels.bsdf.record import Slot
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex_motion import VertexTangent
 
 
 class Tilts(NamedTuple):

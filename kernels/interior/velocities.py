@@ -12,11 +12,11 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import VertexTangent
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.gradient import make_reader_sink
 from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex_motion import VertexTangent
 
 
 @wp.func

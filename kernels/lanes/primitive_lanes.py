@@ -1,41 +1,24 @@
 """Intersection of paths side by side (``path_lanes.py``) with shapes without triangles, after the triangles.
 
 The rays of all lanes meet each shape. An affine shape is the same for all of them, so a loop over lanes becomes SIMD.
-Tubes, grids and networks are met step by step (``curve_lanes.py``, ``grid_lanes.py``), straight curves lane by lane.
+Kinds with ``Kind.make_lanes`` are met step by step (``curve_lanes.py``, ``grid_lanes.py``), the others lane by lane.
 Shapes come in the order of ``dispatch.make_primitive_queries``, and each ray meets them by the same functions, so hits
 have the same bits.
 """
 
-import functools
+from collections.abc import Callable
 from typing import NamedTuple
 
 import warp as wp
 
 from warp_psdr.kernels.bvh.wide import Ray
-from warp_psdr.kernels.constants import (
-    PRIMITIVE_BSPLINECURVE,
-    PRIMITIVE_LINEARCURVE,
-    PRIMITIVE_NEURALSDF,
-    PRIMITIVE_SDFGRID,
-    PRIMITIVE_SDFGRID_CUBIC,
-)
-from warp_psdr.kernels.lanes.curve_lanes import make_curve_lanes
-from warp_psdr.kernels.lanes.grid_lanes import make_grid_lanes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, SteppedLanes
-from warp_psdr.kernels.primitive.affine import is_primitive_at, last_primitive, make_affine_hit
-from warp_psdr.kernels.primitive.dispatch import make_hit
-from warp_psdr.kernels.primitive.kinds import KINDS, affine_kinds, join
+from warp_psdr.kernels.primitive.affine import is_primitive_at, last_primitive
+from warp_psdr.kernels.primitive.kind import Kind
+from warp_psdr.kernels.primitive.table import join, kinds_of
 from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
-
-#: Kinds that rays meet in steps -> what makes their ``SteppedLanes``, of the number of lanes and the first free row.
-STEPPED = {
-    PRIMITIVE_BSPLINECURVE: make_curve_lanes,
-    PRIMITIVE_SDFGRID: functools.partial(make_grid_lanes, cubic=False, network=False),
-    PRIMITIVE_SDFGRID_CUBIC: functools.partial(make_grid_lanes, cubic=True, network=False),
-    PRIMITIVE_NEURALSDF: functools.partial(make_grid_lanes, cubic=False, network=True),
-}
 
 
 class PrimitiveLanes(NamedTuple):
@@ -66,13 +49,21 @@ def make_primitive_lanes(
         events: next-event estimates, ``NextEvent``; None: there are no lights.
         looks: their ``ShadowQuery``.
     """
-    stepped = {kind: make(width, first) for kind, make in STEPPED.items() if kind in config.primitives}
+    kinds = kinds_of(config.primitives)
+    stepped = {kind: kind.make_lanes(width, first) for kind in kinds if kind.make_lanes is not None}
     end = max((lanes.end for lanes in stepped.values()), default=first)
-    meeting = {kind: _make_meeting(kind, width, states, hits) for kind in affine_kinds(config.primitives)}
-    meeting |= {kind: _make_stepped_meeting(lanes, width, states, hits) for kind, lanes in stepped.items()}
-    if PRIMITIVE_LINEARCURVE in config.primitives:
-        meeting[PRIMITIVE_LINEARCURVE] = _make_straight_meeting(width, states, hits)
-    meet_kind = join(_either_loop, meeting)
+
+    def loops(all_at_once: Callable, one_by_one: Callable, in_steps: Callable, *rows: Rows) -> wp.Function | None:
+        made = {}
+        for kind in kinds:
+            if kind in stepped:
+                made[kind.number] = in_steps(stepped[kind], width, *rows)
+            else:
+                make = one_by_one if kind.affine is None else all_at_once
+                made[kind.number] = make(kind, width, *rows)
+        return join("loop_of_kind", made)
+
+    meet_kind = loops(_make_meeting, _make_lone_meeting, _make_stepped_meeting, states, hits)
 
     @wp.func
     def meet(scene: Scene, depth: wp.int32, rows: ROWS):
@@ -88,11 +79,7 @@ def make_primitive_lanes(
 
     if events is None:
         return PrimitiveLanes(meet, None, end)
-    blocking = {kind: _make_blocking(kind, width, events, looks) for kind in affine_kinds(config.primitives)}
-    blocking |= {kind: _make_stepped_blocking(lanes, width, events, looks) for kind, lanes in stepped.items()}
-    if PRIMITIVE_LINEARCURVE in config.primitives:
-        blocking[PRIMITIVE_LINEARCURVE] = _make_straight_blocking(width, events, looks)
-    block_kind = join(_either_loop, blocking)
+    block_kind = loops(_make_blocking, _make_lone_blocking, _make_stepped_blocking, events, looks)
 
     @wp.func
     def block(scene: Scene, rows: ROWS):
@@ -104,19 +91,8 @@ def make_primitive_lanes(
     return PrimitiveLanes(meet, block, end)
 
 
-def _either_loop(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def loop_of_kind(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
-        if tri.i1 == word:
-            f(scene, tri, k, rows)
-        else:
-            rest(scene, tri, k, rows)
-
-    return loop_of_kind
-
-
-def _make_meeting(kind: int, width: int, states: Rows, hits: Rows) -> wp.Function:
-    hit_of = make_affine_hit(KINDS[kind])
+def _make_meeting(kind: Kind, width: int, states: Rows, hits: Rows) -> wp.Function:
+    hit_of = kind.make_hit(False)
 
     @wp.func
     def meet_affine(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
@@ -124,7 +100,7 @@ def _make_meeting(kind: int, width: int, states: Rows, hits: Rows) -> wp.Functio
         while j < width:
             state = states.get(rows, j)
             hit = hits.get(rows, j)
-            found = hit_of(tri, state.o, state.d, hit.t)
+            found = hit_of(scene, tri, state.o, state.d, hit.t)
             closer = found.face >= 0
             hit.t = wp.where(closer, found.t, hit.t)
             hit.u = wp.where(closer, found.u, hit.u)
@@ -136,11 +112,11 @@ def _make_meeting(kind: int, width: int, states: Rows, hits: Rows) -> wp.Functio
     return meet_affine
 
 
-def _make_straight_meeting(width: int, states: Rows, hits: Rows) -> wp.Function:
-    hit_of = make_hit((PRIMITIVE_LINEARCURVE,))
+def _make_lone_meeting(kind: Kind, width: int, states: Rows, hits: Rows) -> wp.Function:
+    hit_of = kind.make_hit(False)
 
     @wp.func
-    def meet_straight(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def meet_alone(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             state = states.get(rows, j)
@@ -151,11 +127,11 @@ def _make_straight_meeting(width: int, states: Rows, hits: Rows) -> wp.Function:
                     hits.put(rows, j, found)
             j += 1
 
-    return meet_straight
+    return meet_alone
 
 
-def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Function:
-    hit_of = make_affine_hit(KINDS[kind])
+def _make_blocking(kind: Kind, width: int, events: Rows, looks: Rows) -> wp.Function:
+    hit_of = kind.make_hit(True)
 
     @wp.func
     def block_affine(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
@@ -163,7 +139,7 @@ def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Funct
         while j < width:
             event = events.get(rows, j)
             shadow = looks.get(rows, j)
-            found = hit_of(tri, event.o, event.d, event.t_max)
+            found = hit_of(scene, tri, event.o, event.d, event.t_max)
             shadow.blocked = wp.where(found.face >= 0, 1, shadow.blocked)
             looks.put(rows, j, shadow)
             j += 1
@@ -171,11 +147,11 @@ def _make_blocking(kind: int, width: int, events: Rows, looks: Rows) -> wp.Funct
     return block_affine
 
 
-def _make_straight_blocking(width: int, events: Rows, looks: Rows) -> wp.Function:
-    hit_of = make_hit((PRIMITIVE_LINEARCURVE,), shadow=True)
+def _make_lone_blocking(kind: Kind, width: int, events: Rows, looks: Rows) -> wp.Function:
+    hit_of = kind.make_hit(True)
 
     @wp.func
-    def block_straight(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
+    def block_alone(scene: Scene, tri: Triangle, k: wp.int32, rows: ROWS):
         j = wp.int32(0)
         while j < width:
             shadow = looks.get(rows, j)
@@ -186,7 +162,7 @@ def _make_straight_blocking(width: int, events: Rows, looks: Rows) -> wp.Functio
                     looks.put(rows, j, shadow)
             j += 1
 
-    return block_straight
+    return block_alone
 
 
 def _make_stepped_meeting(lanes: SteppedLanes, width: int, states: Rows, hits: Rows) -> wp.Function:

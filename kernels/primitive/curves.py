@@ -44,6 +44,8 @@ MOST_SEGMENTS = 1048576
 GROWTH = 4.0e-7
 #: Rate at which the distance from a cone falls along a ray, at least, where a Newton's step mends rounding.
 STEEP = 1.0e-3
+#: Numbers of the two kinds (``curve_kinds.py``): cones between spheres, and tubes about B-splines.
+LINEAR_CURVE, BSPLINE_CURVE = 4, 5
 
 
 @wp.struct
@@ -63,6 +65,12 @@ def address(scene: Scene, at: wp.int32) -> wp.uint64:
     low = wp.uint64(wp.cast(load_float(scene.values, at), wp.uint32))
     high = wp.uint64(wp.cast(load_float(scene.values, at + 1), wp.uint32))
     return low | (high << wp.uint64(32))
+
+
+@wp.func
+def is_spline(tri: Triangle) -> wp.bool:
+    """Whether curves are tubes about B-splines; else they are cones between spheres."""
+    return tri.i1 == wp.static(-1 - BSPLINE_CURVE)
 
 
 @wp.func

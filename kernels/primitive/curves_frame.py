@@ -9,12 +9,12 @@ from warp_psdr.kernels.primitive.curves import (
     control_point,
     curves_of,
     first_point,
+    is_spline,
     place_on,
     slope_on,
     spline_at,
     xyz,
 )
-from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
 
 
@@ -37,7 +37,7 @@ def frame_at(scene: Scene, tri: Triangle, segment: wp.int32, v: wp.float32) -> T
     f = TubeFrame()
     g = curves_of(scene, tri)
     zero = wp.vec3(0.0, 0.0, 0.0)
-    if is_bspline(tri):
+    if is_spline(tri):
         s = spline_at(scene, g, segment, zero)
         here = place_on(s, v)
         slope = slope_on(s, v)

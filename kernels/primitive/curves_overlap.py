@@ -8,7 +8,6 @@ along it do not count.
 
 import warp as wp
 
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.curves import (
     Curves,
@@ -16,6 +15,7 @@ from warp_psdr.kernels.primitive.curves import (
     control_point,
     curves_of,
     first_point,
+    is_spline,
     place_on,
     spline_at,
     xyz,
@@ -193,8 +193,8 @@ def find_overlaps(
     tri_b = triangle_at(scene, other)
     g = curves_of(scene, tri)
     h = curves_of(scene, tri_b)
-    cubic = tri.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
-    cubic_b = tri_b.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+    cubic = is_spline(tri)
+    cubic_b = is_spline(tri_b)
     i = first_point(scene, g, own)
     # Relative to its own first point, so that thin tubes keep their digits.
     origin = xyz(control_point(scene, g, i, wp.vec3(0.0, 0.0, 0.0)))
@@ -261,7 +261,7 @@ def find_pierced(
     i = wp.tid()
     tri = triangle_at(scene, record)
     g = curves_of(scene, tri)
-    cubic = tri.i1 == wp.static(-1 - PRIMITIVE_BSPLINECURVE)
+    cubic = is_spline(tri)
     a = corners[i, 0]
     b = corners[i, 1]
     c = corners[i, 2]

@@ -11,6 +11,7 @@ Derivation: ``docs/theory/implicit.md#grids``.
 
 import warp as wp
 
+from warp_psdr.kernels.primitive.affine import to_axes
 from warp_psdr.kernels.reading import load_float, load_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -21,6 +22,8 @@ HEADER = 20
 ITERATIONS = 48
 #: Steps of the fixed-point coordinates in [0, 1]; those of z are two.
 STEPS = 2097152.0
+#: Halvings of the number of a voxel of smooth grids, and a cell of networks, to that of a block (``Kind.patch``).
+PATCH = 1
 
 
 @wp.struct
@@ -87,6 +90,22 @@ def voxel_at(scene: Scene, g: Grid, i: wp.int32, j: wp.int32, k: wp.int32) -> Vo
 @wp.func
 def voxel_corner(i: wp.int32, j: wp.int32, k: wp.int32) -> wp.vec3:
     return wp.vec3(wp.float32(i), wp.float32(j), wp.float32(k))
+
+
+@wp.func
+def voxel_of(g: Grid, p: wp.vec3) -> wp.vec3i:
+    """The voxel around a point, in voxels."""
+    return wp.vec3i(
+        wp.clamp(wp.int32(p[0]), 0, g.nx - 2),
+        wp.clamp(wp.int32(p[1]), 0, g.ny - 2),
+        wp.clamp(wp.int32(p[2]), 0, g.nz - 2),
+    )
+
+
+@wp.func
+def voxel_number(g: Grid, at: wp.vec3i, halvings: wp.int32) -> wp.int32:
+    """The number of a voxel, or of a block of them, whose sides have 2^halvings."""
+    return ((at[2] >> halvings) * g.ny + (at[1] >> halvings)) * g.nx + (at[0] >> halvings)
 
 
 @wp.func
@@ -205,3 +224,9 @@ def unpack(u: wp.float32, v: wp.float32) -> wp.vec3:
         (wp.float32(b & wp.uint32(2097151)) + 0.5) * wp.static(1.0 / STEPS),
         (wp.float32(low | (high << wp.uint32(10))) + 0.5) * wp.static(2.0 / STEPS),
     )
+
+
+@wp.func
+def boxed_position(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
+    """The point of the box that two numbers hold, in the world."""
+    return tri.normal + to_axes(tri, unpack(u, v))

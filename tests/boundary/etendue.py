@@ -6,13 +6,14 @@ from scipy.stats import chi2
 
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.kernels.primitive.dispatch import make_hit
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
 
-HIT = make_hit((PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC))
+HIT = make_hit((LINEAR_GRID.number, CUBIC_GRID.number))
 #: Batches of an estimate, whose deviation tells its error.
 BATCHES = 20
 #: Standard errors of a comparison of two estimates.

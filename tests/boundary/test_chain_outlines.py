@@ -8,8 +8,9 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.networks import fitted, sphere
-from warp_psdr.kernels.boundary.specular.chain_outlines import Outline, begins_beside, make_one_sheet, make_outline
+from warp_psdr.kernels.boundary.specular.chain_outlines import begins_beside, make_chain_outline, make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
+from warp_psdr.kernels.boundary.specular.chain_touch import JUMPS, ChainOutline
 from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import make_interaction
@@ -49,7 +50,7 @@ def rays_past(count: int, distance: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 @functools.cache
 def outline_kernel(config: PathConfig):
-    outline_at = make_outline(config.primitives)
+    outline_at = make_chain_outline(config.primitives)
     visibility = visibility_of(config)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -175,7 +176,7 @@ def test_hits_aside_of_the_outline_of_a_network_face_the_ray() -> None:
 
 @functools.cache
 def crease_kernel(config: PathConfig):
-    outline_at = make_outline(config.primitives)
+    outline_at = make_chain_outline(config.primitives)
     one_sheet = make_one_sheet(config.primitives)
     patch = make_patch(config.primitives)
     visibility = visibility_of(config)
@@ -221,7 +222,7 @@ def crease_kernel(config: PathConfig):
                 else:
                     b = 0.5 * (a + b)
                     high = middle
-        if one_sheet(scene, low, high) == 2:
+        if one_sheet(scene, low, high) == JUMPS:
             r = outline_at(scene, face, low, high, True, o, True)
             valid_out[i] = wp.where(r.valid == 1, 1, -1)
             x_out[i] = r.x
@@ -255,7 +256,7 @@ def test_creases_lie_between_the_voxels_of_two_hits() -> None:
 def beside(
     # In:
     scene: Scene,
-    outline: Outline,
+    outline: ChainOutline,
     face: wp.int32,
     t1: wp.float32,
     # Out:
@@ -271,7 +272,7 @@ def test_rims_count_from_all_surfaces() -> None:
     """Only silhouettes are left out next to what their shape runs through: rims and creases have no such curves."""
     disk = SHAPES["disk"]
     scene = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), "one": disk, "other": disk})
-    outline = Outline()
+    outline = ChainOutline()
     outline.face = scene.face_count
     outline.curvature = 1.0
     for t1, left_out in ((1e-4, True), (1.0, False)):

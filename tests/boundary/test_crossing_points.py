@@ -6,14 +6,15 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr.kernels.boundary.crossing.curve import CrossingCurves, make_crossing_point
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_SPHERE
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.sphere import SPHERE
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.crossings import crossings
 
 from .etendue import BINS, assert_shares_agree
 
 T = psdr.Transform
-POINT = make_crossing_point((PRIMITIVE_SPHERE, PRIMITIVE_CYLINDER))
+POINT = make_crossing_point((SPHERE.number, CYLINDER.number))
 SAMPLES = 100_000
 #: Both run through the plane z = 0; the cylinder by its side alone.
 POSES = {

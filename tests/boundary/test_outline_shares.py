@@ -8,15 +8,18 @@ import warp_psdr as psdr
 from warp_psdr.kernels.boundary.silhouette.dispatch import make_silhouettes
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
-from warp_psdr.kernels.constants import FOUR_PI, PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE, TWO_PI
+from warp_psdr.kernels.constants import FOUR_PI, TWO_PI
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.disk import DISK
+from warp_psdr.kernels.primitive.sphere import SPHERE
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene
 
 from .etendue import assert_shares_agree, bin_of
 
-KINDS = (PRIMITIVE_SPHERE, PRIMITIVE_DISK, PRIMITIVE_CYLINDER)
+KINDS = (SPHERE.number, DISK.number, CYLINDER.number)
 NAMES = ("sphere", "disk", "cylinder")
 SILHOUETTES = make_silhouettes(KINDS)
 RIMS = make_rims(KINDS)

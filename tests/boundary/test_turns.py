@@ -8,8 +8,7 @@ import warp_psdr as psdr
 from tests.networks import fitted, sphere
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.primitive.dispatch import make_normal_at
-from warp_psdr.kernels.primitive.turn import make_turn
+from warp_psdr.kernels.primitive.dispatch import make_normal_at, make_turn
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of

@@ -10,14 +10,16 @@ from tests.path.helpers import batches
 from tests.path.test_exact_sphere import TILES, assert_same
 from tests.path.test_exact_sphere import scene as ball_scene
 from tests.peer import MITSUBA_ROUNDING, for_mitsuba
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.emitter.area import make_area, make_pdf_area
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.disk import DISK
 from warp_psdr.kernels.primitive.shining import make_shining
+from warp_psdr.kernels.primitive.sphere import SPHERE
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
 T = psdr.Transform
-SHINING = (PRIMITIVE_SPHERE, PRIMITIVE_DISK, PRIMITIVE_CYLINDER)
+SHINING = (SPHERE.number, DISK.number, CYLINDER.number)
 NAMES = ("sphere", "disk", "cylinder")
 AREA = make_area((0,), SHINING)
 PDF = make_pdf_area(SHINING)

@@ -6,8 +6,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.rays.test_curves import KINDS, hair, load
-from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
-from warp_psdr.kernels.primitive.velocity import make_velocity
+from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at, make_velocity
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.curve_points import coefficients

@@ -6,13 +6,13 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.rays.test_sdfgrid_cubic import weights as spline_weights
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
-from warp_psdr.kernels.primitive.dispatch import make_hit
-from warp_psdr.kernels.primitive.velocity import make_velocity
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
+from warp_psdr.kernels.primitive.dispatch import make_hit, make_velocity
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
-KINDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
+KINDS = (LINEAR_GRID.number, CUBIC_GRID.number)
 HIT = make_hit(KINDS)
 VELOCITY = make_velocity(False, True, False, False, KINDS)
 STEP = 1e-6

@@ -5,13 +5,13 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE
+from warp_psdr.kernels.primitive.curve_kinds import CONES, TUBES
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.curve_points import coefficients
 
-KINDS = {"linearcurve": PRIMITIVE_LINEARCURVE, "bsplinecurve": PRIMITIVE_BSPLINECURVE}
+KINDS = {"linearcurve": CONES.number, "bsplinecurve": TUBES.number}
 #: Rounding of points, over the largest coordinate.
 ROUNDING = 2e-5
 
@@ -209,7 +209,7 @@ def test_rays_beside_a_bend_pass() -> None:
     assert passes.sum() > 50
     arrays = [wp.array(y - s, dtype=wp.vec3, device=scene.device) for y, s in ((o, scene.origin), (d, 0.0))]
     out = wp.zeros((len(x), 9), dtype=wp.float32, device=scene.device)
-    trace = make_trace(PRIMITIVE_BSPLINECURVE)
+    trace = make_trace(TUBES.number)
     wp.launch(trace, dim=len(x), inputs=[scene.data(), *arrays], outputs=[out], device=scene.device)
     met = out.numpy()[:, 0]
     assert ((met < 0.0) | (met > 0.8))[passes].all()

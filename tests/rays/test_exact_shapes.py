@@ -5,14 +5,16 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.disk import DISK
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
+from warp_psdr.kernels.primitive.sphere import SPHERE
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 
 T = psdr.Transform
-KINDS = (PRIMITIVE_SPHERE, PRIMITIVE_DISK, PRIMITIVE_CYLINDER)
+KINDS = (SPHERE.number, DISK.number, CYLINDER.number)
 NAMES = ("sphere", "disk", "cylinder")
 HIT = make_hit(KINDS)
 SURFACE = make_surface_at(False, True, False, False, KINDS)

@@ -6,8 +6,8 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.networks import Net, blob, fitted, neck
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
+from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.description import Network
@@ -15,8 +15,8 @@ from warp_psdr.scene.network_bounds import bounds_of, cells_of, values_of
 
 from .test_sdfgrid import rays, samples
 
-HIT = make_hit((PRIMITIVE_NEURALSDF,))
-SURFACE = make_surface_at(False, True, False, False, (PRIMITIVE_NEURALSDF,))
+HIT = make_hit((NETWORK.number,))
+SURFACE = make_surface_at(False, True, False, False, (NETWORK.number,))
 #: Rounding of phi in float32, and of distances along rays.
 ROUNDING = 4e-6
 NETS = {

@@ -7,14 +7,15 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.primitive.sdfgrid import pack, unpack
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.exact import held_points
 
-KINDS = (PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC)
+KINDS = (LINEAR_GRID.number, CUBIC_GRID.number)
 HIT = make_hit(KINDS)
 SURFACE = make_surface_at(False, True, False, False, KINDS)
 #: Rounding of points of the unit cube, and of distances along rays.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS
-from warp_psdr.kernels.primitive.dispatch import CURVES
+from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
@@ -44,7 +44,7 @@ INSTEAD = "leave out 'exact', and it is made of triangles, which do"
 
 
 def kinds(scene: Scene) -> tuple[int, ...]:
-    """Return the kinds (PRIMITIVE_*) of a scene, for the path loop."""
+    """Return the numbers of the kinds of a scene, for the path loop."""
     return tuple(sorted({KINDS[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes, passing
-from warp_psdr.kernels.primitive.dispatch import SLIDING
+from warp_psdr.kernels.primitive.dispatch import has_sliding
 from warp_psdr.kernels.sensor.time_gate import PULSE_BOX, PULSE_DELTA, PULSE_GAUSSIAN, TimeGates
 from warp_psdr.options import interior
 from warp_psdr.plan.motion import Motion, motion
@@ -188,6 +188,6 @@ def _undifferentiated(
             "path lengths change, and without a pulse light jumps from bin to bin, which has a boundary term of its "
             "own; give the film a pulse_width_opl of more than 0"
         )
-    if moves and set(config.primitives) & set(SLIDING):
+    if moves and has_sliding(config.primitives):
         return "points of grids, networks and curves slide along rays, whose lengths are not differentiated; use meshes"
     return ""

@@ -12,8 +12,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.device import launch
-from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.primitive.affine import update_primitive
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
+from warp_psdr.kernels.primitive.curve_kinds import CONES, TUBES
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.disk import DISK
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
+from warp_psdr.kernels.primitive.network_kind import NETWORK
+from warp_psdr.kernels.primitive.sphere import SPHERE
 
 from .curve_points import held_curve_point
 from .description import ShapeDescription
@@ -27,15 +33,15 @@ if TYPE_CHECKING:
     from .scene import Scene
 
 #: Plugin that may be exact -> its kind on the device.
-EXACT = {"sphere": c.PRIMITIVE_SPHERE, "disk": c.PRIMITIVE_DISK, "cylinder": c.PRIMITIVE_CYLINDER}
+EXACT = {"sphere": SPHERE.number, "disk": DISK.number, "cylinder": CYLINDER.number}
 #: The same of all shapes without triangles.
 KINDS = {
     **EXACT,
-    "sdfgrid": c.PRIMITIVE_SDFGRID,
-    "cubic sdfgrid": c.PRIMITIVE_SDFGRID_CUBIC,
-    "linearcurve": c.PRIMITIVE_LINEARCURVE,
-    "bsplinecurve": c.PRIMITIVE_BSPLINECURVE,
-    "neuralsdf": c.PRIMITIVE_NEURALSDF,
+    "sdfgrid": LINEAR_GRID.number,
+    "cubic sdfgrid": CUBIC_GRID.number,
+    "linearcurve": CONES.number,
+    "bsplinecurve": TUBES.number,
+    "neuralsdf": NETWORK.number,
 }
 #: Corners of the box around each kind, in its own coordinates.
 CORNERS = {
@@ -160,12 +166,12 @@ def cylinder_points(u, v) -> np.ndarray:
 
 #: Kind -> its points by the two numbers that a vertex holds.
 POINTS = {
-    c.PRIMITIVE_SPHERE: sphere_points,
-    c.PRIMITIVE_SDFGRID: held_points,
-    c.PRIMITIVE_SDFGRID_CUBIC: held_points,
-    c.PRIMITIVE_NEURALSDF: held_points,
-    c.PRIMITIVE_DISK: disk_points,
-    c.PRIMITIVE_CYLINDER: cylinder_points,
+    SPHERE.number: sphere_points,
+    LINEAR_GRID.number: held_points,
+    CUBIC_GRID.number: held_points,
+    NETWORK.number: held_points,
+    DISK.number: disk_points,
+    CYLINDER.number: cylinder_points,
 }
 
 

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.dispatch import OUTLINES, OutlineItem
-from warp_psdr.kernels.boundary.silhouette.rim import RIMS
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER
+from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
+from warp_psdr.kernels.primitive.cylinder import CYLINDER
+from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.scene.exact import KINDS
 from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
@@ -142,11 +142,14 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
         if shapes is not None and i not in shapes:
             continue
         kind = KINDS[scene.description.shapes[i].primitive]
-        if kind in OUTLINES:
+        affine = affine_of((kind,)).get(kind)
+        if affine is None:
+            continue
+        if affine.outline is not None:
             ends = {e: record[d] for d, c, e in joined.caps if c == i}
             found.append((face, (ends.get(0, -1), ends.get(1, -1)), -1))
-        closed = joined.closed(i) if kind == PRIMITIVE_CYLINDER else set()
-        if kind in RIMS and len(closed) < 2 and i not in dict(joined.buried):
+        closed = joined.closed(i) if kind == CYLINDER.number else set()
+        if affine.rim is not None and len(closed) < 2 and i not in dict(joined.buried):
             neighbour = next((record[c] for d, c, _end in joined.caps if d == i), -1)
             found.append((-1 - face, (neighbour, -1), next(iter(closed), -1)))
     if not found:

@@ -16,8 +16,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.crossing.levels import make_level_at, make_level_sink
 from warp_psdr.kernels.boundary.local_form import split_between
 from warp_psdr.kernels.distribution import find_interval_64
-from warp_psdr.kernels.primitive.affine import is_primitive
-from warp_psdr.kernels.primitive.dispatch import CURVES, is_bspline, is_linear, make_leaving
+from warp_psdr.kernels.primitive.dispatch import has_outside_alone, is_outside_alone, make_leaving
 from warp_psdr.kernels.structs import Scene
 
 #: Newton's steps, and the distance, over the chord's length, within which they have to end, and on whose part of it.
@@ -133,13 +132,12 @@ def place_beside(point: CrossingPoint, sheet: wp.vec3) -> wp.vec3:
 @functools.cache
 def make_shows(primitives: tuple[int, ...]):
     """Return ``shows(scene, point, w) -> bool``: whether rays along w may see a curve. Tubes have an outside alone."""
-    has_curves = bool(set(CURVES) & set(primitives))
+    outside_alone = has_outside_alone(primitives)
 
     @wp.func
     def shows(scene: Scene, point: CrossingPoint, w: wp.vec3) -> wp.bool:
-        if wp.static(has_curves):
-            tri = scene.triangles[point.face_b]
-            if is_primitive(tri) and (is_bspline(tri) or is_linear(tri)):
+        if wp.static(outside_alone):
+            if is_outside_alone(scene.triangles[point.face_b]):
                 return wp.dot(point.n_b, w) < 0.0
         return True
 

@@ -11,9 +11,8 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     TubePoint,
     side_point,
 )
-from warp_psdr.kernels.primitive.curves import curves_of, place_on, slope_on, spline_at, xyz
+from warp_psdr.kernels.primitive.curves import curves_of, is_spline, place_on, slope_on, spline_at, xyz
 from warp_psdr.kernels.primitive.curves_frame import frame_at
-from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Newton's steps to the circle that a place lies in the plane of, and how far beyond a segment's ends it may be.
@@ -39,7 +38,7 @@ def tube_across(
     scene: Scene, tri: Triangle, face: wp.int32, segment: wp.int32, start: wp.float32, x: wp.vec3
 ) -> TubePoint:
     """The point of a segment next to x, on the circle or sphere at the place that x belongs to."""
-    if is_bspline(tri):
+    if is_spline(tri):
         v = place_across(scene, tri, segment, start, x)
         f = frame_at(scene, tri, segment, v)
         return side_point(f, face, segment, v, wp.normalize(x - f.c))

@@ -40,8 +40,7 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.affine import from_axes, is_primitive
-from warp_psdr.kernels.primitive.dispatch import SLIDING, slides_on
-from warp_psdr.kernels.primitive.kinds import affine_kinds
+from warp_psdr.kernels.primitive.dispatch import has_sliding, slides_on
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene
@@ -55,8 +54,8 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
     crossing_point = make_crossing_point(config.primitives)
     accumulate_crossing = make_crossing_sink(role, config.primitives)
     accumulate_source = make_source_sink(role, False, config.primitives)
-    coordinates = make_coordinates(config.primitives) if affine_kinds(config.primitives) else None
-    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    coordinates = make_coordinates(config.primitives)
+    slides = has_sliding(config.primitives)
     visibility = visibility_of(config)
     shows = make_shows(config.primitives)
     sees = make_sees(config)
@@ -74,7 +73,7 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
         """What a path vertex would hold at a point of a face; on grids nobody asks."""
         tri = scene.triangles[face]
         if is_primitive(tri):
-            if wp.static(has_sliding):
+            if wp.static(slides):
                 if slides_on(tri):
                     return wp.vec2(0.0, 0.0)
             if wp.static(coordinates is not None):

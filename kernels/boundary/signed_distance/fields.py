@@ -4,11 +4,11 @@ from warp_psdr.kernels.boundary.signed_distance.cubic_distance import CUBIC
 from warp_psdr.kernels.boundary.signed_distance.distance import Field
 from warp_psdr.kernels.boundary.signed_distance.network_distance import NETWORK
 from warp_psdr.kernels.boundary.signed_distance.sphere_distance import SPHERE
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF, PRIMITIVE_SDFGRID_CUBIC, PRIMITIVE_SPHERE
+from warp_psdr.kernels.primitive import cubic_grid, network_kind, sphere
 
-#: Kind (PRIMITIVE_*) -> its functions.
+#: Number of a kind -> its functions.
 FIELDS: dict[int, Field] = {
-    PRIMITIVE_SPHERE: SPHERE,
-    PRIMITIVE_SDFGRID_CUBIC: CUBIC,
-    PRIMITIVE_NEURALSDF: NETWORK,
+    sphere.SPHERE.number: SPHERE,
+    cubic_grid.CUBIC_GRID.number: CUBIC,
+    network_kind.NETWORK.number: NETWORK,
 }

@@ -1,4 +1,4 @@
-"""Points of smooth silhouettes in the world, for the kinds of shapes without triangles; a new kind is a file and a row.
+"""Points of smooth silhouettes in the world, for the affine kinds of shapes without triangles (``Affine.outline``).
 
 With the gradient of phi and its Hessian H in the shape's coordinates, x = A q + b, the normal is along A^-T grad phi,
 and the normal curvature along a tangent direction w is kappa_n = (A^-1 w)^T H (A^-1 w) / |A^-T grad phi|.
@@ -9,78 +9,11 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.cylinder import (
-    CYLINDER_AREA,
-    cylinder_bend,
-    cylinder_gradient,
-    cylinder_place,
-    cylinder_silhouette,
-    cylinder_silhouette_rate,
-)
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
-from warp_psdr.kernels.boundary.silhouette.sphere import (
-    SPHERE_AREA,
-    sphere_bend,
-    sphere_gradient,
-    sphere_place,
-    sphere_silhouette,
-    sphere_silhouette_rate,
-)
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, PRIMITIVE_SPHERE
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
-from warp_psdr.kernels.primitive.cylinder import cylinder_coordinates
-from warp_psdr.kernels.primitive.disk import disk_coordinates
-from warp_psdr.kernels.primitive.kinds import affine_kinds, join
-from warp_psdr.kernels.primitive.sphere import sphere_coordinates
+from warp_psdr.kernels.primitive.kind import Outline
+from warp_psdr.kernels.primitive.table import affine_of, join
 from warp_psdr.kernels.structs import Scene, Triangle
-
-
-class Outline(NamedTuple):
-    """The functions of a kind, in its own coordinates.
-
-    Attributes:
-        silhouette: ``(eye, distant, u) -> (q, bool)``: a point of the silhouette, and whether there is one; u in [0, 1)
-            goes once around it. ``distant``: the eye is a direction.
-        rate: ``(eye, distant, q) -> dq/du`` of that point.
-        place: ``(u: vec2) -> q``, uniform in area.
-        gradient: ``(q) -> vec3`` of phi.
-        bend: ``(q, w) -> float``: w^T H w.
-        area: of the surface.
-    """
-
-    silhouette: wp.Function
-    rate: wp.Function
-    place: wp.Function
-    gradient: wp.Function
-    bend: wp.Function
-    area: float
-
-
-#: Kind (PRIMITIVE_*) -> its functions.
-OUTLINES: dict[int, Outline] = {
-    PRIMITIVE_SPHERE: Outline(
-        silhouette=sphere_silhouette,
-        rate=sphere_silhouette_rate,
-        place=sphere_place,
-        gradient=sphere_gradient,
-        bend=sphere_bend,
-        area=SPHERE_AREA,
-    ),
-    PRIMITIVE_CYLINDER: Outline(
-        silhouette=cylinder_silhouette,
-        rate=cylinder_silhouette_rate,
-        place=cylinder_place,
-        gradient=cylinder_gradient,
-        bend=cylinder_bend,
-        area=CYLINDER_AREA,
-    ),
-}
-#: Kind -> ``(q) -> vec2``: what a vertex there would hold.
-COORDINATES: dict[int, wp.Function] = {
-    PRIMITIVE_SPHERE: sphere_coordinates,
-    PRIMITIVE_DISK: disk_coordinates,
-    PRIMITIVE_CYLINDER: cylinder_coordinates,
-}
 
 
 class Silhouettes(NamedTuple):
@@ -122,22 +55,19 @@ def choose_outline(outlines: wp.array(dtype=OutlineItem), u: wp.float64) -> tupl
 @functools.cache
 def make_silhouettes(primitives: tuple[int, ...]) -> Silhouettes | None:
     """Return the functions for the affine kinds of a scene; None: none of them has a smooth silhouette."""
-    made = {kind: _make_outline(OUTLINES[kind]) for kind in primitives if kind in OUTLINES}
+    smooth = {n: affine.outline for n, affine in affine_of(primitives).items() if affine.outline is not None}
+    made = {n: _make_outline(outline) for n, outline in smooth.items()}
     if not made:
         return None
     return Silhouettes(
-        seen=join(_either_outline, {kind: f.seen for kind, f in made.items()}),
-        rate=join(_either_outline_rate, {kind: f.rate for kind, f in made.items()}),
-        place=join(_either_place, {kind: f.place for kind, f in made.items()}),
-        density=join(_either_density, {kind: f.density for kind, f in made.items()}),
-        curvature=join(_either_curvature, {kind: f.curvature for kind, f in made.items()}),
+        *(join(f"outline_{name}", {n: getattr(f, name) for n, f in made.items()}) for name in Silhouettes._fields)
     )
 
 
 @functools.cache
-def make_coordinates(primitives: tuple[int, ...]) -> wp.Function:
-    """Return ``coordinates(tri, q) -> vec2``: what a vertex would hold at a point of a shape."""
-    return join(_either_coordinates, {kind: _make_coordinates(COORDINATES[kind]) for kind in affine_kinds(primitives)})
+def make_coordinates(primitives: tuple[int, ...]) -> wp.Function | None:
+    """Return ``coordinates(tri, q) -> vec2``: what a vertex would hold at a point of a shape; None: no affine kinds."""
+    return join("coordinates_of_kind", {n: _make_coordinates(f.coordinates) for n, f in affine_of(primitives).items()})
 
 
 def _make_coordinates(f: wp.Function) -> wp.Function:
@@ -192,66 +122,6 @@ def _make_outline(kind: Outline) -> Silhouettes:
         return kind.bend(q, from_axes(tri, w)) / slope
 
     return Silhouettes(silhouette_seen, silhouette_rate, surface_place, place_density, normal_curvature)
-
-
-def _either_outline(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def seen_of_kind(tri: Triangle, face: wp.int32, eye: wp.vec3, distant: wp.bool, u: wp.float32) -> SilhouettePoint:
-        if tri.i1 == word:
-            return f(tri, face, eye, distant, u)
-        return rest(tri, face, eye, distant, u)
-
-    return seen_of_kind
-
-
-def _either_outline_rate(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def rate_of_kind(tri: Triangle, eye: wp.vec3, distant: wp.bool, q: wp.vec3) -> wp.vec3:
-        if tri.i1 == word:
-            return f(tri, eye, distant, q)
-        return rest(tri, eye, distant, q)
-
-    return rate_of_kind
-
-
-def _either_place(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def place_of_kind(tri: Triangle, face: wp.int32, u: wp.vec2) -> SilhouettePoint:
-        if tri.i1 == word:
-            return f(tri, face, u)
-        return rest(tri, face, u)
-
-    return place_of_kind
-
-
-def _either_density(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def density_of_kind(tri: Triangle, q: wp.vec3) -> wp.float32:
-        if tri.i1 == word:
-            return f(tri, q)
-        return rest(tri, q)
-
-    return density_of_kind
-
-
-def _either_curvature(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def curvature_of_kind(tri: Triangle, q: wp.vec3, w: wp.vec3) -> wp.float32:
-        if tri.i1 == word:
-            return f(tri, q, w)
-        return rest(tri, q, w)
-
-    return curvature_of_kind
-
-
-def _either_coordinates(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def coordinates_of_kind(tri: Triangle, q: wp.vec3) -> wp.vec2:
-        if tri.i1 == word:
-            return f(tri, q)
-        return rest(tri, q)
-
-    return coordinates_of_kind
 
 
 @functools.cache

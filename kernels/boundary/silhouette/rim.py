@@ -15,76 +15,18 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
-from warp_psdr.kernels.constants import PRIMITIVE_CYLINDER, PRIMITIVE_DISK, TWO_PI
 from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
-from warp_psdr.kernels.primitive.cylinder import cylinder_normal
-from warp_psdr.kernels.primitive.disk import disk_normal
-from warp_psdr.kernels.primitive.kinds import join
+from warp_psdr.kernels.primitive.cylinder import CYLINDER, cylinder_into, cylinder_normal
+from warp_psdr.kernels.primitive.disk import DISK, disk_into, disk_normal
+from warp_psdr.kernels.primitive.kind import Affine
+from warp_psdr.kernels.primitive.table import affine_of, join
 from warp_psdr.kernels.structs import Scene, Triangle
-
-
-@wp.func
-def disk_rim(u: wp.float32) -> wp.vec3:
-    phi = TWO_PI * u
-    return wp.vec3(wp.cos(phi), wp.sin(phi), 0.0)
-
-
-@wp.func
-def disk_rim_rate(q: wp.vec3) -> wp.vec3:
-    """Dq / du."""
-    return TWO_PI * wp.vec3(-q[1], q[0], 0.0)
-
-
-@wp.func
-def disk_into(q: wp.vec3) -> wp.vec3:
-    """Way from the rim along the surface."""
-    return wp.vec3(-q[0], -q[1], 0.0)
-
-
-@wp.func
-def cylinder_rim(u: wp.float32) -> wp.vec3:
-    """The circle z = 0 has half of u, that at z = 1 the other."""
-    phi = 2.0 * TWO_PI * u
-    return wp.vec3(wp.cos(phi), wp.sin(phi), wp.where(u < 0.5, 0.0, 1.0))
-
-
-@wp.func
-def cylinder_rim_rate(q: wp.vec3) -> wp.vec3:
-    return 2.0 * TWO_PI * wp.vec3(-q[1], q[0], 0.0)
-
-
-@wp.func
-def cylinder_into(q: wp.vec3) -> wp.vec3:
-    return wp.vec3(0.0, 0.0, wp.where(q[2] < 0.5, 1.0, -1.0))
 
 
 @wp.func
 def is_open_end(item: OutlineItem, q: wp.vec3) -> wp.bool:
     """Whether a cylinder's rim at q is an edge of its own."""
     return item.closed < 0 or wp.where(q[2] < 0.5, 0, 1) != item.closed
-
-
-class Rim(NamedTuple):
-    """The functions of a kind, in its own coordinates.
-
-    Attributes:
-        point: ``(u) -> q``.
-        rate: ``(q) -> dq/du``.
-        into: ``(q) -> vec3``, along the surface away from the rim.
-        normal: ``(q) -> vec3``, of the surface, of any length.
-    """
-
-    point: wp.Function
-    rate: wp.Function
-    into: wp.Function
-    normal: wp.Function
-
-
-#: Kind (PRIMITIVE_*) -> its functions.
-RIMS: dict[int, Rim] = {
-    PRIMITIVE_DISK: Rim(disk_rim, disk_rim_rate, disk_into, disk_normal),
-    PRIMITIVE_CYLINDER: Rim(cylinder_rim, cylinder_rim_rate, cylinder_into, cylinder_normal),
-}
 
 
 class Rims(NamedTuple):
@@ -120,7 +62,7 @@ class Neighbour(NamedTuple):
 @functools.cache
 def make_neighbour(primitives: tuple[int, ...]) -> Neighbour | None:
     """Return the functions; None: no scene of these kinds has such a rim."""
-    if not {PRIMITIVE_DISK, PRIMITIVE_CYLINDER} <= set(primitives):
+    if not {DISK.number, CYLINDER.number} <= set(primitives):
         return None
 
     @wp.func
@@ -152,29 +94,27 @@ def make_neighbour(primitives: tuple[int, ...]) -> Neighbour | None:
 @functools.cache
 def make_rims(primitives: tuple[int, ...]) -> Rims | None:
     """Return the functions for the kinds of a scene; None: none of them has a rim."""
-    made = {kind: _make_rim(RIMS[kind]) for kind in primitives if kind in RIMS}
+    made = {n: _make_rim(affine) for n, affine in affine_of(primitives).items() if affine.rim is not None}
     if not made:
         return None
-    return Rims(
-        seen=join(_either_seen, {kind: rim.seen for kind, rim in made.items()}),
-        rate=join(_either_rate, {kind: rim.rate for kind, rim in made.items()}),
-        slant=join(_either_slant, {kind: rim.slant for kind, rim in made.items()}),
-    )
+    return Rims(*(join(f"rim_{name}", {n: getattr(f, name) for n, f in made.items()}) for name in Rims._fields))
 
 
-def _make_rim(kind: Rim) -> Rims:
+def _make_rim(affine: Affine) -> Rims:
+    rim = affine.rim
+
     @wp.func
     def rim_seen(tri: Triangle, face: wp.int32, u: wp.float32, eye: wp.vec3, distant: wp.bool) -> SilhouettePoint:
         r = SilhouettePoint()
         r.face = face
-        r.q = kind.point(u)
+        r.q = rim.point(u)
         r.x = tri.normal + to_axes(tri, r.q)
         d = eye
         if not distant:
             d = eye - r.x
-        m = wp.cross(to_axes(tri, kind.rate(r.q)), wp.normalize(d))
+        m = wp.cross(to_axes(tri, rim.rate(r.q)), wp.normalize(d))
         length = wp.length(m)
-        if wp.dot(m, to_axes(tri, kind.into(r.q))) > 0.0:
+        if wp.dot(m, to_axes(tri, rim.into(r.q))) > 0.0:
             m = -m
         r.out = (1.0 / wp.where(length > 0.0, length, 1.0)) * m
         r.valid = wp.where(length > 0.0, 1, 0)
@@ -182,40 +122,10 @@ def _make_rim(kind: Rim) -> Rims:
 
     @wp.func
     def rim_rate(tri: Triangle, q: wp.vec3) -> wp.vec3:
-        return to_axes(tri, kind.rate(q))
+        return to_axes(tri, rim.rate(q))
 
     @wp.func
     def rim_slant(tri: Triangle, q: wp.vec3, w: wp.vec3) -> wp.float32:
-        return wp.abs(wp.dot(wp.normalize(cofactor(tri, kind.normal(q))), w))
+        return wp.abs(wp.dot(wp.normalize(cofactor(tri, affine.normal(q))), w))
 
     return Rims(rim_seen, rim_rate, rim_slant)
-
-
-def _either_seen(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def rim_of_kind(tri: Triangle, face: wp.int32, u: wp.float32, eye: wp.vec3, distant: wp.bool) -> SilhouettePoint:
-        if tri.i1 == word:
-            return f(tri, face, u, eye, distant)
-        return rest(tri, face, u, eye, distant)
-
-    return rim_of_kind
-
-
-def _either_rate(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def rim_rate_of_kind(tri: Triangle, q: wp.vec3) -> wp.vec3:
-        if tri.i1 == word:
-            return f(tri, q)
-        return rest(tri, q)
-
-    return rim_rate_of_kind
-
-
-def _either_slant(word: int, f: wp.Function, rest: wp.Function) -> wp.Function:
-    @wp.func
-    def rim_slant_of_kind(tri: Triangle, q: wp.vec3, w: wp.vec3) -> wp.float32:
-        if tri.i1 == word:
-            return f(tri, q, w)
-        return rest(tri, q, w)
-
-    return rim_slant_of_kind

@@ -37,12 +37,13 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import own_touch, own_touch_density
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
-from warp_psdr.kernels.constants import FAR, PRIMITIVE_LINEARCURVE
+from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.curve_kinds import CONES
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
@@ -56,11 +57,11 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     visibility = visibility_of(config)
     sensor_end = make_sensor_end(config)
-    sees = make_sees(config, (PRIMITIVE_LINEARCURVE,))
+    sees = make_sees(config, (CONES.number,))
     accumulate_tube = make_tube_sink(role, config.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     incident = make_incident(config)
-    has_linear = PRIMITIVE_LINEARCURVE in config.primitives
+    has_linear = CONES.number in config.primitives
 
     @wp.func
     def tube_source(

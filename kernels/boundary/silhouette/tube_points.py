@@ -11,12 +11,11 @@ Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.slots import Slots
-from warp_psdr.kernels.boundary.silhouette.sphere import sphere_silhouette, sphere_silhouette_rate
 from warp_psdr.kernels.boundary.silhouette.tube_roots import TURN, CircleRoots, circle_roots
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import TWO_PI
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.curves import angle_around, curves_of, first_point, hold, hold_segment
+from warp_psdr.kernels.primitive.curves import angle_around, curves_of, first_point, hold, hold_segment, is_spline
 from warp_psdr.kernels.primitive.curves_frame import (
     TubeFrame,
     along_gradient,
@@ -25,7 +24,7 @@ from warp_psdr.kernels.primitive.curves_frame import (
     tube_gradient,
     tube_stretch,
 )
-from warp_psdr.kernels.primitive.dispatch import is_bspline
+from warp_psdr.kernels.primitive.sphere import sphere_silhouette, sphere_silhouette_rate
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Parts of a segment.
@@ -346,7 +345,7 @@ def tube_seen(
         return crease_of(scene, tri, face, segment, along)
     if part == PART_SIDE:
         return side_seen(frame_at(scene, tri, segment, along), face, segment, along, eye, distant, u)
-    if is_bspline(tri):
+    if is_spline(tri):
         f = frame_at(scene, tri, segment, wp.where(part == PART_END, 1.0, 0.0))
         return rim_seen(f, face, segment, part, eye, distant, along)
     return sphere_seen(scene, tri, face, segment, part, eye, distant, along)

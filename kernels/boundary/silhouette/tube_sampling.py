@@ -8,7 +8,6 @@ Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``.
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.sphere import sphere_silhouette_rate
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     PART_CREASE,
     PART_END,
@@ -26,8 +25,9 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
 )
 from warp_psdr.kernels.constants import INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.primitive.curves import is_spline
 from warp_psdr.kernels.primitive.curves_frame import along_gradient, frame_at
-from warp_psdr.kernels.primitive.dispatch import is_bspline
+from warp_psdr.kernels.primitive.sphere import sphere_silhouette_rate
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -60,7 +60,7 @@ def own_touch(
         r.point = crease_of(scene, tri, face, segment, along)
         return r
     f = frame_at(scene, tri, segment, v)
-    if part != PART_SIDE and is_bspline(tri):
+    if part != PART_SIDE and is_spline(tri):
         r.w = square_to_sphere(wp.vec2(u[0], u[1]))
         r.point = rim_seen(f, face, segment, part, r.w, True, along)
         return r

@@ -48,11 +48,11 @@ from warp_psdr.kernels.boundary.silhouette.tube_sampling import (
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import PRIMITIVE_LINEARCURVE
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
+from warp_psdr.kernels.primitive.curve_kinds import CONES
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -68,7 +68,7 @@ def make_tube_segment(config: PathConfig):
     ``aim.light`` is -1 where its direction is its own, as of the fraction ``share`` of the segments; ``direct`` as in
     ``path_space/secondary.py``. The scale is one over the density of what was drawn.
     """
-    sees = make_sees(config, (PRIMITIVE_LINEARCURVE,))
+    sees = make_sees(config, (CONES.number,))
     source_end = make_source_end(config)
     sensor_end = make_sensor_end(config)
 

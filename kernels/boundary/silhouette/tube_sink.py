@@ -12,10 +12,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.silhouette.tube_points import PART_CREASE, TubePoint
-from warp_psdr.kernels.constants import PRIMITIVE_BSPLINECURVE, PRIMITIVE_LINEARCURVE
-from warp_psdr.kernels.primitive.curves import control_point, curves_of, first_point
+from warp_psdr.kernels.primitive.curve_kinds import CONES, TUBES
+from warp_psdr.kernels.primitive.curves import control_point, curves_of, first_point, is_spline
 from warp_psdr.kernels.primitive.curves_adjoint import CurveSegment, Pull, make_points_sink, make_pull, shares
-from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
 
 
@@ -36,7 +35,7 @@ def points_of(scene: Scene, tri: Triangle, segment: wp.int32, v: wp.float32, fre
     s.first = first_point(scene, g, segment)
     s.p0 = control_point(scene, g, s.first, zero)
     s.p1 = control_point(scene, g, s.first + 1, zero)
-    if is_bspline(tri):
+    if is_spline(tri):
         s.p2 = control_point(scene, g, s.first + 2, zero)
         s.p3 = control_point(scene, g, s.first + 3, zero)
     s.v = v
@@ -64,8 +63,8 @@ def pull_rim(point: TubePoint, g: wp.vec3) -> Pull:
 @functools.cache
 def make_tube_sink(role: str, primitives: tuple[int, ...]):
     """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point, across its curve."""
-    has_cubic = PRIMITIVE_BSPLINECURVE in primitives
-    has_linear = PRIMITIVE_LINEARCURVE in primitives
+    has_cubic = TUBES.number in primitives
+    has_linear = CONES.number in primitives
     pull_cubic, pull_linear = make_pull(True), make_pull(False)
     accumulate_cubic, accumulate_linear = make_points_sink(role, True), make_points_sink(role, False)
 
@@ -79,7 +78,7 @@ def make_tube_sink(role: str, primitives: tuple[int, ...]):
         a_phi = -wp.dot(g, point.gradient) / wp.max(wp.length_sq(point.gradient), 1.0e-30)
         total = wp.float32(0.0)
         if wp.static(has_cubic):
-            if is_bspline(tri):
+            if is_spline(tri):
                 r = Pull()
                 if point.rim == 1:
                     r = pull_rim(point, g)

@@ -11,7 +11,8 @@ import warp as wp
 from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass
 from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
-from warp_psdr.kernels.boundary.specular.chain_outlines import Outline, begins_beside, make_one_sheet, make_outline
+from warp_psdr.kernels.boundary.specular.chain_outlines import begins_beside, make_chain_outline, make_one_sheet
+from warp_psdr.kernels.boundary.specular.chain_touch import JUMPS, ChainOutline
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
 from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.specular.triangle_borders import (
@@ -24,11 +25,10 @@ from warp_psdr.kernels.boundary.specular.triangle_borders import (
     smooth_between,
 )
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.constants import FAR, PRIMITIVE_NEURALSDF
+from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.dispatch import make_delta_sample
 from warp_psdr.kernels.primitive.affine import determinant, is_primitive_at
-from warp_psdr.kernels.primitive.dispatch import is_network, slides_on
-from warp_psdr.kernels.primitive.network import clear_of_network
+from warp_psdr.kernels.primitive.dispatch import make_clear, slides_on
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
@@ -60,7 +60,7 @@ class Crossing:
     both: wp.int32  # 1: the other side of the line is a crossing of its own
     edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``
     point: EdgePoint
-    outline: Outline
+    outline: ChainOutline
     segment: Segment  # of the points, face1 (-1: none) is moved along ``boundary_normal1``, face2 along ``sweep``
     boundary_normal1: wp.vec3
     last: wp.int32  # where the pull-back starts (``chain_pullback.py``)
@@ -194,9 +194,9 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
     on the face ``begin`` where the block begins on a surface and i is 0.
     ``hidden``: there are lights that the camera does not see. ``primitives``: kinds of shapes without triangles.
     """
-    outline_at = make_outline(primitives)
+    outline_at = make_chain_outline(primitives)
     one_sheet = make_one_sheet(primitives)
-    networks = PRIMITIVE_NEURALSDF in primitives
+    clear_of = make_clear(primitives)
 
     @wp.func
     def edge_crossing(
@@ -249,7 +249,7 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
             own_face = wp.where(own_low, low.face, high.face)
             if is_primitive_at(scene, own_face):
                 if low.face == high.face:
-                    front = one_sheet(scene, low, high) == 2
+                    front = one_sheet(scene, low, high) == JUMPS
                 r.outline = outline_at(scene, own_face, low, high, own_low, x, front)
                 if r.outline.valid == 0:
                     return r
@@ -327,12 +327,13 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
             n_high = facing(high.ng, d)
             if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
                 apart_by = wp.max(apart_by, concave_distance(n_low, n_high, False))
-        if wp.static(networks):
+        if wp.static(clear_of is not None):
             if r.edge == 3:
                 tri = scene.triangles[r.outline.face]
-                if is_network(tri):
+                clear = clear_of(scene, tri)
+                if clear > 0.0:
                     # Closer to its outline, hits lie in front of the touched point or behind it, as phi is rounded.
-                    apart_by = clear_of_network(scene, tri) / scene.ray_epsilon
+                    apart_by = clear / scene.ray_epsilon
                     # Along a normal that faces outwards phi falls.
                     falls = (r.phi_a < 0.0) == (determinant(tri) > 0.0)
                     r.low_lies = wp.where(falls == own_low, -1, 1)
@@ -353,7 +354,7 @@ def make_shadow_crossing(config: PathConfig):
     lit = make_lit(config)
     if lit is None:
         return None
-    outline_at = make_outline(config.primitives)
+    outline_at = make_chain_outline(config.primitives)
     sample = make_delta_sample(config.lights)
     visibility = visibility_of(config)
 

@@ -11,32 +11,14 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.crossing.levels import voxel_of
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF
-from warp_psdr.kernels.primitive.curves_surface import held_on
-from warp_psdr.kernels.primitive.dispatch import (
-    BOXED,
-    CURVES,
-    is_bspline,
-    is_cubic,
-    is_grid,
-    is_linear,
-    is_network,
-)
-from warp_psdr.kernels.primitive.network import network_of
-from warp_psdr.kernels.primitive.sdfgrid import grid_of, unpack
+from warp_psdr.kernels.primitive.table import join, kinds_of
 from warp_psdr.kernels.structs import Scene, Triangle
-
-#: Halvings of the number of a voxel of smooth grids, and a cell of networks, to that of a block.
-BLOCK = 1
 
 
 @wp.func
-def cells_of(scene: Scene, tri: Triangle) -> wp.vec3:
-    """Number of voxels of a grid, or of cells of a network, along its axes."""
-    if is_network(tri):
-        return network_of(scene, tri).cells
-    return grid_of(scene, tri).cells
+def no_patch(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.int32:
+    """What shapes have that their sides alone tell apart."""
+    return -1
 
 
 @functools.cache
@@ -45,28 +27,13 @@ def make_patch(primitives: tuple[int, ...]) -> wp.Function | None:
 
     ``facing``: 1 if the ray arrives on the front of its normal.
     """
-    if not primitives:
+    of_kind = join("patch_of_kind", {kind.number: kind.patch or no_patch for kind in kinds_of(primitives)})
+    if of_kind is None:
         return None
-    boxed = bool(set(BOXED) & set(primitives))
-    networks = PRIMITIVE_NEURALSDF in primitives
-    curves = bool(set(CURVES) & set(primitives))
 
     @wp.func
     def patch(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, facing: wp.int32) -> wp.int32:
-        tri = scene.triangles[face]
-        if wp.static(curves):
-            if is_linear(tri) or is_bspline(tri):
-                segment, _along = held_on(u, v)
-                return segment
-        if wp.static(boxed):
-            if is_grid(tri) or is_network(tri):
-                g = grid_of(scene, tri)
-                if wp.static(networks):
-                    if is_network(tri):
-                        g = network_of(scene, tri)
-                at = voxel_of(g, wp.cw_mul(g.cells, unpack(u, v)))
-                less = wp.where(is_cubic(tri) or is_network(tri), BLOCK, 0)
-                return ((at[2] >> less) * g.ny + (at[1] >> less)) * g.nx + (at[0] >> less)
-        return facing
+        found = of_kind(scene, scene.triangles[face], u, v)
+        return wp.where(found < 0, facing, found)
 
     return patch

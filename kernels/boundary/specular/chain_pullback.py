@@ -16,7 +16,7 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink, slides_on
+from warp_psdr.kernels.primitive.dispatch import has_sliding, make_adjoint_sink, slides_on
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
@@ -52,7 +52,7 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
         role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
     )
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
-    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    sliding = has_sliding(config.primitives)
 
     @wp.func
     def pull(
@@ -101,13 +101,13 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
                     before += a_x
             by_ray = visit.attached == 1
             tied = wp.bool(False)
-            if wp.static(has_sliding):
+            if wp.static(sliding):
                 tied = not by_ray and slides_on(scene.triangles[visit.face])
             accumulated = accumulate_vertex(
                 scene, target, visit.face, visit.u, visit.v, adjoint, by_ray or tied, visit.o, visit.d
             )
             total += accumulated.dot
-            if wp.static(has_sliding):
+            if wp.static(sliding):
                 if tied:
                     # It slides along a ray that is tied to the surface of the vertex before (form S).
                     start_of = visits[j - 1]

@@ -15,6 +15,7 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
 from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
+from warp_psdr.kernels.boundary.specular.chain_touch import SAME
 from warp_psdr.kernels.boundary.specular.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -155,7 +156,7 @@ def make_crossing(config: PathConfig):
                 same = joined(scene, edges, tables, p, q)
                 if wp.static(one_sheet is not None):
                     if same and p.face == q.face:
-                        same = one_sheet(scene, p, q) == 1
+                        same = one_sheet(scene, p, q) == SAME
             if not same:
                 if block.film == 1 and i == 0:
                     return r

@@ -8,21 +8,40 @@ Derivation: ``docs/theory/specular.md#outlines-of-shapes-without-triangles``.
 """
 
 import functools
+from collections.abc import Callable
 
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.crossing.levels import voxel_of
 from warp_psdr.kernels.boundary.silhouette.grid_points import TouchPoint, make_touch_sink
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF, PRIMITIVE_SDFGRID, PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.boundary.specular.chain_touch import (
+    APART,
+    GRAZED,
+    JUMPS,
+    SAME,
+    SHEET,
+    ChainOutline,
+    ChainTouch,
+)
+from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, to_axes
-from warp_psdr.kernels.primitive.dispatch import BOXED, is_cubic, is_network
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.primitive.network import network_of
+from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.kernels.primitive.network_surface import network_bend, network_field
-from warp_psdr.kernels.primitive.sdfgrid import Grid, cubic_along, grid_of, unpack, value_and_gradient, voxel_at
+from warp_psdr.kernels.primitive.sdfgrid import (
+    Grid,
+    cubic_along,
+    grid_of,
+    unpack,
+    value_and_gradient,
+    voxel_at,
+    voxel_corner,
+    voxel_of,
+)
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, mixed_differences
 from warp_psdr.kernels.primitive.sdfgrid_cubic import spline_field, spline_hessian
-from warp_psdr.kernels.primitive.sdfgrid_surface import voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Most voxels that a ray which meets a linear grid passes up to where phi turns.
@@ -154,7 +173,10 @@ def linear_graze(scene: Scene, tri: Triangle, g: Grid, hit: wp.vec3, direction: 
     return r
 
 
-def _make_smooth_graze(field: wp.Function, bend: wp.Function) -> wp.Function:
+@functools.cache
+def make_smooth_graze(field: wp.Function, bend: wp.Function) -> wp.Function:
+    """Return ``graze(scene, tri, g, hit, w) -> GridTouch`` of a smooth surface, from (gradient, phi) and H w."""
+
     @wp.func
     def smooth_graze(scene: Scene, tri: Triangle, g: Grid, hit: wp.vec3, w: wp.vec3) -> GridTouch:
         r = GridTouch()
@@ -205,49 +227,6 @@ def network_level(scene: Scene, g: Grid, p: wp.vec3) -> wp.vec4:
     return wp.vec4(f[0] / g.cells[0], f[1] / g.cells[1], f[2] / g.cells[2], f[3])
 
 
-@functools.cache
-def make_grid_touch(primitives: tuple[int, ...]) -> wp.Function | None:
-    """Return ``touch(scene, tri, low, high, hit, d, front) -> GridTouch``; None: the scene has no such shape.
-
-    A ray along d that meets a surface at ``hit`` is next to touching it, or with ``front`` two rays meet it on either
-    side of a crease, where vertices hold ``low`` and ``high``: their voxels, which positions may miss by a rounding.
-    """
-    if not set(BOXED) & set(primitives):
-        return None
-    linear = PRIMITIVE_SDFGRID in primitives
-    of_cubic = _make_smooth_graze(spline_level, spline_level_bend) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
-    of_network = _make_smooth_graze(network_level, network_bend) if PRIMITIVE_NEURALSDF in primitives else None
-
-    @wp.func
-    def grid_touch(
-        scene: Scene, tri: Triangle, low: wp.vec2, high: wp.vec2, hit: wp.vec3, d: wp.vec3, front: wp.bool
-    ) -> GridTouch:
-        r = GridTouch()
-        w = from_axes(tri, d)
-        q = from_axes(tri, hit - tri.normal)
-        if wp.static(of_network is not None):
-            if is_network(tri):
-                n = network_of(scene, tri)
-                if front:
-                    return r
-                return of_network(scene, tri, n, wp.cw_mul(n.cells, q), wp.cw_mul(n.cells, w))
-        g = grid_of(scene, tri)
-        if wp.static(of_cubic is not None):
-            if is_cubic(tri):
-                if front:
-                    return r
-                return of_cubic(scene, tri, g, wp.cw_mul(g.cells, q), wp.cw_mul(g.cells, w))
-        if wp.static(linear):
-            if front:
-                a = wp.cw_mul(g.cells, unpack(low[0], low[1]))
-                b = wp.cw_mul(g.cells, unpack(high[0], high[1]))
-                return crease_between(scene, g, a, b)
-            return linear_graze(scene, tri, g, wp.cw_mul(g.cells, q), wp.cw_mul(g.cells, w))
-        return r
-
-    return grid_touch
-
-
 @wp.func
 def across_touch(tri: Triangle, cells: wp.vec3, touch: GridTouch, d: wp.vec3) -> wp.vec3:
     """Across the ray and the outline, of any length, in the world."""
@@ -256,43 +235,121 @@ def across_touch(tri: Triangle, cells: wp.vec3, touch: GridTouch, d: wp.vec3) ->
     return wp.normalize(cofactor(tri, wp.cw_mul(cells, touch.gradient)))
 
 
-@functools.cache
-def make_grid_sink(role: str, primitives: tuple[int, ...]) -> wp.Function:
-    """Return ``accumulate(scene, target, face, q, gradient, g) -> float``: the adjoint g of a point of an outline.
+@wp.func
+def no_front(g: Grid, low: wp.vec2, high: wp.vec2) -> wp.bool:
+    """On smooth surfaces normals do not jump."""
+    return False
 
-    ``q`` is in the box, ``gradient`` as in ``GridTouch``.
+
+@wp.func
+def voxels_differ(g: Grid, low: wp.vec2, high: wp.vec2) -> wp.bool:
+    """Whether vertices hold points of two voxels of a linear grid."""
+    a = voxel_of(g, wp.cw_mul(g.cells, unpack(low[0], low[1])))
+    b = voxel_of(g, wp.cw_mul(g.cells, unpack(high[0], high[1])))
+    return a[0] != b[0] or a[1] != b[1] or a[2] != b[2]
+
+
+@functools.cache
+def make_grid_outlines(
+    record: wp.Function, graze: wp.Function, jumps: wp.Function, make_point_sink: Callable[[str], wp.Function]
+) -> ChainTouch:
+    """Return the functions of a kind.
+
+    Args:
+        record: ``(scene, tri) -> Grid``.
+        graze: ``(scene, tri, g, hit, w) -> GridTouch`` of a ray, in voxels.
+        jumps: ``(g, low, high) -> bool``: whether the normal jumps between what two vertices hold.
+        make_point_sink: role -> the sink of a ``TouchPoint``.
     """
-    of_linear = make_touch_sink(role) if PRIMITIVE_SDFGRID in primitives else None
-    of_cubic = make_touch_sink(role, True) if PRIMITIVE_SDFGRID_CUBIC in primitives else None
-    of_network = make_touch_sink(role, False, True) if PRIMITIVE_NEURALSDF in primitives else None
 
     @wp.func
-    def accumulate_grid(
-        scene: Scene, target: wp.array(dtype=wp.float32), face: wp.int32, q: wp.vec3, gradient: wp.vec3, a: wp.vec3
-    ) -> wp.float32:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        tri = scene.triangles[face]
-        point = TouchPoint()
-        point.face = face
-        point.q = q
-        point.gradient = gradient
-        if wp.static(of_network is not None):
-            if is_network(tri):
-                n = network_of(scene, tri)
-                point.place = wp.cw_mul(n.cells, q)
-                return of_network(scene, target, point, a)
-        g = grid_of(scene, tri)
-        p = wp.cw_mul(g.cells, q)
-        at = voxel_of(g, p)
-        point.i = at[0]
-        point.j = at[1]
-        point.k = at[2]
-        point.place = p - voxel_corner(at[0], at[1], at[2])
-        if wp.static(of_cubic is not None):
-            if is_cubic(tri):
-                return of_cubic(scene, target, point, a)
-        if wp.static(of_linear is not None):
-            return of_linear(scene, target, point, a)
-        return 0.0
+    def grid_outline(
+        scene: Scene,
+        tri: Triangle,
+        face: wp.int32,
+        low: Link,
+        high: Link,
+        own_low: wp.bool,
+        hit: wp.vec3,
+        o: wp.vec3,
+        d: wp.vec3,
+        front: wp.bool,
+    ) -> ChainOutline:
+        r = ChainOutline()
+        r.face = face
+        g = record(scene, tri)
+        t = GridTouch()
+        if front:
+            # The voxels that vertices hold: positions may miss them by a rounding.
+            if wp.static(jumps is voxels_differ):
+                a = wp.cw_mul(g.cells, unpack(low.u, low.v))
+                b = wp.cw_mul(g.cells, unpack(high.u, high.v))
+                t = crease_between(scene, g, a, b)
+        else:
+            q = from_axes(tri, hit - tri.normal)
+            t = graze(scene, tri, g, wp.cw_mul(g.cells, q), wp.cw_mul(g.cells, from_axes(tri, d)))
+        r.rim = t.crease
+        r.q = wp.cw_div(t.p, g.cells)
+        r.x = tri.normal + to_axes(tri, r.q)
+        r.m = across_touch(tri, g.cells, t, wp.normalize(r.x - o))
+        r.curvature = t.curvature
+        r.gradient = t.gradient
+        r.valid = wp.where(t.valid == 1 and t.off < GRAZED and wp.length_sq(r.m) > 0.0, 1, 0)
+        return r
 
-    return accumulate_grid
+    @wp.func
+    def grid_sheet(scene: Scene, tri: Triangle, low: Link, high: Link) -> wp.int32:
+        g = record(scene, tri)
+        size = wp.min(
+            wp.min(wp.length(tri.p0) / g.cells[0], wp.length(tri.p1) / g.cells[1]), wp.length(tri.p2) / g.cells[2]
+        )
+        if wp.length(low.x - high.x) > SHEET * size:
+            return APART
+        return wp.where(jumps(g, wp.vec2(low.u, low.v), wp.vec2(high.u, high.v)), JUMPS, SAME)
+
+    def make_sink(role: str) -> wp.Function:
+        accumulate_point = make_point_sink(role)
+
+        @wp.func
+        def accumulate_grid_outline(
+            scene: Scene, target: wp.array(dtype=wp.float32), outline: ChainOutline, a: wp.vec3
+        ) -> wp.float32:
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            g = record(scene, scene.triangles[outline.face])
+            point = TouchPoint()
+            point.face = outline.face
+            point.q = outline.q
+            point.gradient = outline.gradient
+            point.place = wp.cw_mul(g.cells, outline.q)
+            if wp.static(record is grid_of):
+                p = point.place
+                at = voxel_of(g, p)
+                point.i = at[0]
+                point.j = at[1]
+                point.k = at[2]
+                point.place = p - voxel_corner(at[0], at[1], at[2])
+            return accumulate_point(scene, target, point, a)
+
+        return accumulate_grid_outline
+
+    return ChainTouch(grid_outline, grid_sheet, make_sink)
+
+
+def grid_outlines() -> dict[int, ChainTouch]:
+    """Return the functions of grids and networks: number of the kind -> its own."""
+    cubic, network = make_smooth_graze(spline_level, spline_level_bend), make_smooth_graze(network_level, network_bend)
+    return {
+        LINEAR_GRID.number: make_grid_outlines(grid_of, linear_graze, voxels_differ, make_touch_sink),
+        CUBIC_GRID.number: make_grid_outlines(grid_of, cubic, no_front, make_cubic_touch_sink),
+        NETWORK.number: make_grid_outlines(network_of, network, no_front, make_network_touch_sink),
+    }
+
+
+def make_cubic_touch_sink(role: str) -> wp.Function:
+    """Return ``make_touch_sink``'s function, of smooth grids."""
+    return make_touch_sink(role, True)
+
+
+def make_network_touch_sink(role: str) -> wp.Function:
+    """Return ``make_touch_sink``'s function, of networks."""
+    return make_touch_sink(role, False, True)

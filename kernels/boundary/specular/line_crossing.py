@@ -26,7 +26,7 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
-from warp_psdr.kernels.primitive.dispatch import SLIDING, make_adjoint_sink
+from warp_psdr.kernels.primitive.dispatch import has_sliding, make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sensor.projection import make_splat
@@ -62,7 +62,7 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
     pull = make_chain_pullback(config, wanted, role)
     accumulate_segment = make_segment_sink(role, light_pose, config.primitives)
     accumulate_source = make_source_sink(role, light_pose, config.primitives)
-    has_sliding = bool(set(SLIDING) & set(config.primitives))
+    sliding = has_sliding(config.primitives)
     accumulate_outline = make_outline_sink(role, config.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
     interaction = make_interaction(config)
@@ -180,7 +180,7 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
             )
             sides = 1 + r.both
             which += 1
-            if wp.static(has_sliding):
+            if wp.static(sliding):
                 if block.film == 0 and r.edge != 2:
                     # What a segment's other end is tied to.
                     r.segment.face1 = visits[line.count - 1].face
@@ -228,7 +228,7 @@ def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, l
                             moved = w * r.segment.boundary_normal
                             speed = accumulate_source(scene, target, r.segment, w, speed)
                             speed += accumulate_outline(scene, target, r.outline, moved)
-                    if wp.static(has_sliding):
+                    if wp.static(sliding):
                         if wp.length_sq(r.tied) > 0.0:
                             y = visits[line.count - 1]
                             speed += accumulate_point(scene, target, r.segment, y.face, y.u, y.v, w * r.tied)

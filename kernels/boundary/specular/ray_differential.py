@@ -19,12 +19,12 @@ from warp_psdr.kernels.constants import (
     LOBE_NULL,
 )
 from warp_psdr.kernels.fresnel import refracted_cosine
-from warp_psdr.kernels.interior.tangents import normalize_jvp
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at
-from warp_psdr.kernels.primitive.turn import make_turn
+from warp_psdr.kernels.primitive.dispatch import make_turn
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sensor.camera import camera_direction, lens_direction, load_mat44, parallel_origin
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.vertex_motion import normalize_jvp
 
 
 @wp.struct

@@ -17,6 +17,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     PART_END,
     PART_SIDE,
     PART_START,
+    SMOOTH,
     TubePoint,
     crease_of,
     end_sphere_point,
@@ -24,29 +25,30 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import (
     side_point,
     side_roots,
     tube_axis,
+    tube_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
+from warp_psdr.kernels.boundary.specular.chain_touch import (
+    APART,
+    GRAZED,
+    JUMPS,
+    SAME,
+    SHEET,
+    ChainOutline,
+    ChainTouch,
+    TubeGraze,
+)
+from warp_psdr.kernels.boundary.specular.specular_chain import Link
 from warp_psdr.kernels.constants import INV_TWO_PI
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.curves import curves_of, first_point
+from warp_psdr.kernels.primitive.curve_kinds import CONES
+from warp_psdr.kernels.primitive.curves import curves_of, first_point, is_spline
 from warp_psdr.kernels.primitive.curves_frame import frame_at
 from warp_psdr.kernels.primitive.curves_surface import held_on
-from warp_psdr.kernels.primitive.dispatch import is_bspline
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Distance along a segment from an open end up to which a hit may be at the end.
 AT_END = 0.01
-
-
-@wp.struct
-class TubeGraze:
-    """Where a ray touches a tube: what ``tube_point`` makes a point of."""
-
-    valid: wp.int32
-    segment: wp.int32
-    part: wp.int32
-    v: wp.float32  # place along the segment; of a crease the angle around it, in turns
-    e: wp.vec3
 
 
 @wp.func
@@ -68,7 +70,7 @@ def tube_point(scene: Scene, tri: Triangle, face: wp.int32, touch: TubeGraze) ->
     f = frame_at(scene, tri, touch.segment, touch.v)
     if touch.part == PART_SIDE:
         return side_point(f, face, touch.segment, touch.v, touch.e)
-    if is_bspline(tri):
+    if is_spline(tri):
         r = side_point(f, face, touch.segment, touch.v, touch.e)
         r.part = touch.part
         r.rim = 1
@@ -162,7 +164,7 @@ def tube_touch(
     if front:
         next_segment, _along = held_on(other[0], other[1])
         return joint_touch(scene, tri, wp.min(segment, next_segment), hit)
-    if not is_bspline(tri):
+    if not is_spline(tri):
         if along < 0.25:
             return sphere_touch(scene, tri, segment, PART_START, o, d)
         if along > 0.75:
@@ -185,16 +187,70 @@ def tube_touch(
 
 
 @functools.cache
-def make_tube_outline_sink(role: str, primitives: tuple[int, ...]) -> wp.Function:
-    """Return ``accumulate(scene, target, face, touch, g) -> float``: the adjoint g of a point of an outline."""
-    accumulate_tube = make_tube_sink(role, primitives)
+def make_tube_outlines(primitives: tuple[int, ...]) -> ChainTouch:
+    """Return the functions of the kinds of curves of a scene."""
+    straight = CONES.number in primitives
 
     @wp.func
-    def accumulate_tube_touch(
-        scene: Scene, target: wp.array(dtype=wp.float32), face: wp.int32, touch: TubeGraze, g: wp.vec3
-    ) -> wp.float32:
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        point = tube_point(scene, scene.triangles[face], face, touch)
-        return accumulate_tube(scene, target, point, g)
+    def tube_outline_at(
+        scene: Scene,
+        tri: Triangle,
+        face: wp.int32,
+        low: Link,
+        high: Link,
+        own_low: wp.bool,
+        hit: wp.vec3,
+        o: wp.vec3,
+        d: wp.vec3,
+        front: wp.bool,
+    ) -> ChainOutline:
+        r = ChainOutline()
+        r.face = face
+        held = wp.where(own_low, wp.vec2(low.u, low.v), wp.vec2(high.u, high.v))
+        other = wp.where(own_low, wp.vec2(high.u, high.v), wp.vec2(low.u, low.v))
+        r.tube = tube_touch(scene, tri, held, hit, other, o, d, front)
+        if r.tube.valid == 0:
+            return r
+        point = tube_point(scene, tri, face, r.tube)
+        r.x = point.x
+        w = wp.normalize(r.x - o)
+        if point.rim == 1 or point.part == PART_CREASE:
+            r.rim = 1
+            r.m = wp.cross(point.rate, w)
+        else:
+            r.m = point.out
+            r.curvature = tube_curvature(point, w)
+        near = beside_ray(r.x, o, d) < GRAZED * point.f.r
+        r.valid = wp.where(near and point.valid == 1 and wp.length_sq(r.m) > 0.0, 1, 0)
+        return r
 
-    return accumulate_tube_touch
+    @wp.func
+    def tube_sheet(scene: Scene, tri: Triangle, low: Link, high: Link) -> wp.int32:
+        first, along = held_on(low.u, low.v)
+        second, other = held_on(high.u, high.v)
+        place = along
+        if not is_spline(tri):
+            place = wp.clamp(2.0 * along - 0.5, 0.0, 1.0)
+        if wp.length(low.x - high.x) > SHEET * frame_at(scene, tri, first, place).r:
+            return APART
+        if wp.static(straight):
+            if first != second and not is_spline(tri):
+                cones = wp.min(along, other) >= 0.25 and wp.max(along, other) <= 0.75
+                if cones and wp.length(wp.cross(low.ng, high.ng)) > SMOOTH:
+                    return JUMPS
+        return SAME
+
+    def make_sink(role: str) -> wp.Function:
+        accumulate_tube = make_tube_sink(role, primitives)
+
+        @wp.func
+        def accumulate_tube_outline(
+            scene: Scene, target: wp.array(dtype=wp.float32), outline: ChainOutline, g: wp.vec3
+        ) -> wp.float32:
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            point = tube_point(scene, scene.triangles[outline.face], outline.face, outline.tube)
+            return accumulate_tube(scene, target, point, g)
+
+        return accumulate_tube_outline
+
+    return ChainTouch(tube_outline_at, tube_sheet, make_sink)

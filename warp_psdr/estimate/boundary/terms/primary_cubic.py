@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.options.boundary import PathSpace
 
 
 def applies(r: Request) -> bool:
     """Whether there are such grids, and they or the camera move."""
-    return PRIMITIVE_SDFGRID_CUBIC in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
+    return CUBIC_GRID.number in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

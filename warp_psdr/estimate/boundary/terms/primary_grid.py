@@ -9,7 +9,7 @@ import warp as wp
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import camera_eyes, grid_items, grid_shapes, only
@@ -21,7 +21,7 @@ SHARE_OF_VALUES, SHARE = 1.0 / 10.0, 1.0 / 4.0
 
 def applies(r: Request) -> bool:
     """Whether there are grids, and they or the camera move."""
-    return PRIMITIVE_SDFGRID in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
+    return LINEAR_GRID.number in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch_silhouettes(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:

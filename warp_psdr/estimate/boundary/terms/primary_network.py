@@ -5,7 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF
+from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
 from warp_psdr.topology.grid_silhouettes import camera_eyes
@@ -14,7 +14,7 @@ from warp_psdr.topology.network_silhouettes import network_items, network_shapes
 
 def applies(r: Request) -> bool:
     """Whether there are networks, and they or the camera move."""
-    return PRIMITIVE_NEURALSDF in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
+    return NETWORK.number in r.config.primitives and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
-from warp_psdr.kernels.primitive.kinds import affine_kinds
+from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.topology.exact_shapes import require_uncut
 from warp_psdr.topology.joined_rims import outlines
@@ -12,7 +12,7 @@ from warp_psdr.topology.joined_rims import outlines
 
 def applies(r: Request) -> bool:
     """Whether there are such shapes, and they or the camera move."""
-    return bool(affine_kinds(r.config.primitives)) and bool(r.moves.shapes or r.moves.camera)
+    return bool(affine_of(r.config.primitives)) and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

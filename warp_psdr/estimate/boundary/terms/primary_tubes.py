@@ -6,7 +6,7 @@ import math
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.tube_primary import make_primary_tube_kernel
-from warp_psdr.kernels.primitive.dispatch import CURVES
+from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.tube_contacts import require_uncut_tubes
 from warp_psdr.topology.tubes import curve_shapes, tube_items

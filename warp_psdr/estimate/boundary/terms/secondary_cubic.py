@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import secondary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID_CUBIC
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.options.boundary import PathSpace
 
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such grids, and anything moves."""
-    return PRIMITIVE_SDFGRID_CUBIC in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
+    return CUBIC_GRID.number in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

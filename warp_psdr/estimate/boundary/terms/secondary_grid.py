@@ -13,7 +13,7 @@ from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.estimate.guiding.intervals import Listing, grid_names
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_grid_kernel
-from warp_psdr.kernels.constants import PRIMITIVE_SDFGRID
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes, only
@@ -29,7 +29,7 @@ OWN_SHARE = 0.25
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside grids, and anything moves."""
-    return PRIMITIVE_SDFGRID in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
+    return LINEAR_GRID.number in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch_segments(r: Request, term: BoundaryTerm, cubic: bool) -> Term | None:

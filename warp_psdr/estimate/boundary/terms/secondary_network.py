@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import secondary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.constants import PRIMITIVE_NEURALSDF
+from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_silhouettes import light_eyes
 from warp_psdr.topology.network_silhouettes import network_items, network_shapes
@@ -12,7 +12,7 @@ from warp_psdr.topology.network_silhouettes import network_items, network_shapes
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside networks, and anything moves."""
-    return PRIMITIVE_NEURALSDF in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
+    return NETWORK.number in r.config.primitives and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

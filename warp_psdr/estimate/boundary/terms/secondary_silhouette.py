@@ -8,7 +8,7 @@ from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems, make_secondary_silhouette_kernel
-from warp_psdr.kernels.primitive.kinds import affine_kinds
+from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.joined_rims import outlines
@@ -16,7 +16,7 @@ from warp_psdr.topology.joined_rims import outlines
 
 def applies(r: Request) -> bool:
     """Whether light is scattered beside such shapes, and anything moves."""
-    return bool(affine_kinds(r.config.primitives)) and r.lit and r.moves.edges and r.scatters_smoothly
+    return bool(affine_of(r.config.primitives)) and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

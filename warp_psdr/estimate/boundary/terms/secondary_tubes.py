@@ -12,7 +12,7 @@ from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.estimate.guiding.intervals import Listing, curve_names
 from warp_psdr.estimate.guiding.structure import TECHNIQUES
 from warp_psdr.kernels.boundary.silhouette.tube_secondary import make_secondary_tube_kernel
-from warp_psdr.kernels.primitive.dispatch import CURVES
+from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
