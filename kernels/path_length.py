@@ -42,7 +42,7 @@ def lamp_position(scene: Scene, emitter: Emitter) -> wp.vec3:
 
 
 @functools.cache
-def make_light_point(config: PathConfig):
+def make_next_event_point(config: PathConfig):
     """Return ``light_point(scene, vertex) -> vec3``: the light point that next-event estimation found."""
     point_at = make_point_at(config.primitives)
 
@@ -65,7 +65,7 @@ def make_timed_vertex(config: PathConfig):
     index of refraction in front of the vertex, ``before``: ell_{n-1}.
     """
     point_at = make_point_at(config.primitives)
-    light_point = make_light_point(config)
+    light_point = make_next_event_point(config)
     emitted = make_interaction(config).emitted
 
     @wp.func

@@ -184,11 +184,10 @@ def broken_rules(graph: dict[str, set[str]]) -> Iterator[str]:
 
 
 def device_names(source: str) -> Iterator[str]:
-    """Records and functions of device code at module level."""
+    """Records, functions and factories of device code at module level."""
     for node in parsed(source).body:
-        if isinstance(node, ast.ClassDef | ast.FunctionDef):
-            if any(re.match(r"wp\.(struct|func|kernel)", ast.unparse(d)) for d in node.decorator_list):
-                yield node.name
+        if isinstance(node, ast.ClassDef | ast.FunctionDef) and not node.name.startswith("_"):
+            yield node.name
 
 
 def shared_modules(source: str) -> Iterator[str]:
@@ -335,6 +334,7 @@ def test_circles_and_broken_layers_are_found() -> None:
     assert list(device_names("@wp.struct\nclass A:\n    x: wp.vec3\n@wp.func\ndef f(): ...\ndef make(): ...")) == [
         "A",
         "f",
+        "make",
     ]
 
 

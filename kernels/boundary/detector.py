@@ -248,7 +248,7 @@ class Turn:
 
 
 @functools.cache
-def make_turn(config: PathConfig):
+def make_sensor_turn(config: PathConfig):
     """Return ``turn(scene, face, u, v, x, to, u4) -> Turn``: a direction drawn at x; light comes from ``to``."""
     interaction = make_interaction(config)
 
@@ -285,7 +285,7 @@ def make_walk(config: PathConfig):
     interaction = make_interaction(config)
     project = make_projection(config.camera)[0]
     point_at = make_point_at(config.primitives)
-    turn = make_turn(config)
+    turn = make_sensor_turn(config)
 
     @wp.func
     def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:

@@ -226,7 +226,7 @@ def interface_half_vector(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> HalfVect
 
 
 @functools.cache
-def make_interface(distribution: str) -> Interface:
+def make_rough_interface(distribution: str) -> Interface:
     """Return the functions of a rough interface.
 
     Derivation: ``docs/theory/materials.md#rough-glass``.

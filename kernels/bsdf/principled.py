@@ -18,9 +18,9 @@ from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.microfacet import (
     MIN_COSINE,
     half_slope,
-    make_interface,
     make_microfacet,
     make_reflection,
+    make_rough_interface,
     make_visible_normal,
     or_upright,
     squared_tangent_part,
@@ -184,7 +184,7 @@ def make_principled(record: type, variant: str) -> Functions:
     """Return the model's functions; ``variant`` "spec_trans": light passes the surface."""
     transmits = variant == "spec_trans"
     reflection = make_reflection("ggx")
-    interface = make_interface("ggx")
+    interface = make_rough_interface("ggx")
     visible_normal = make_visible_normal("ggx")
     smith_over_cos = make_microfacet("ggx").smith_over_cos
 

@@ -21,7 +21,7 @@ from warp_psdr.kernels.bsdf.microfacet import (
     MIN_ALPHA,
     MIN_COSINE,
     at_least_min,
-    make_interface,
+    make_rough_interface,
     make_visible_normal,
     or_upright,
 )
@@ -61,7 +61,7 @@ def turned(w: wp.vec3, up: wp.float32) -> wp.vec3:
 @functools.cache
 def make_rough_dielectric(record: type, distribution: str) -> Functions:
     """Return the model's functions for ``distribution`` "ggx" or "beckmann"."""
-    interface = make_interface(distribution)
+    interface = make_rough_interface(distribution)
     visible_normal = make_visible_normal(distribution)
 
     @wp.func

@@ -78,7 +78,7 @@ def is_upper(n4: wp.vec4) -> wp.bool:
 
 
 @functools.cache
-def make_light_point(config: PathConfig) -> wp.Function:
+def make_light_candidate(config: PathConfig) -> wp.Function:
     """Return ``light_point(scene, x, n4) -> LightPoint``, as seen from x."""
     sample_light = make_light_sampler(config)
 
@@ -192,7 +192,7 @@ def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int
 
     if not samples_lights(config):
         return Candidates(direction_targets, None, density)
-    light_point = make_light_point(config)
+    light_point = make_light_candidate(config)
 
     @wp.func
     def light_targets(

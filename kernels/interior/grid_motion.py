@@ -13,14 +13,14 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FAR, PHASE_SGGX
 from warp_psdr.kernels.interior.media_sweep import number_of
-from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
+from warp_psdr.kernels.interior.shadow_crossings import make_crossed_surface
 from warp_psdr.kernels.interior.shadow_motion import ShadowAdjoint, make_thinning
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
 from warp_psdr.kernels.medium.grid_emission import POINTS as EMISSION_POINTS
 from warp_psdr.kernels.medium.grid_emission import SALT_EMISSION, emission_at, emission_point
 from warp_psdr.kernels.medium.grid_span import Span, SpanAdjoint, make_grid_span, span_length, span_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink
+from warp_psdr.kernels.medium.interface import make_interface_sink
 from warp_psdr.kernels.medium.majorant import grid_ray
 from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
@@ -167,9 +167,9 @@ def make_grid_emission_motion(config: MediaConfig, role: str, pose: bool):
 @functools.cache
 def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
-    shadow_crossing = make_shadow_crossing(config)
+    shadow_crossing = make_crossed_surface(config)
     is_interface, past = make_null_surface(config)
-    accumulate_crossing = make_crossing_sink(role)
+    accumulate_crossing = make_interface_sink(role)
     _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases

@@ -26,13 +26,13 @@ from warp_psdr.kernels.interior.grid_motion import (
 )
 from warp_psdr.kernels.interior.media_sweep import number_of
 from warp_psdr.kernels.interior.pullback import connection_vjp
-from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
+from warp_psdr.kernels.interior.shadow_motion import make_light_end_sink, make_shadow_sink
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import POSE, exp_minus
 from warp_psdr.kernels.medium.emission import emission_of
 from warp_psdr.kernels.medium.grid_adjoint import SALT_POINTS
 from warp_psdr.kernels.medium.grid_span import Span, span_length, span_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.interface import make_interface, make_interface_sink
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_slopes
@@ -96,8 +96,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     accumulate_grid_flight = make_grid_flight_sink(role, grids_move) if grids else None
     emissive = config.media.emissive
     accumulate_glow = make_grid_emission_motion(config.media, role, grids_move) if emissive and grids else None
-    accumulate_end = make_light_end(wanted, role)
-    accumulate_crossing = make_crossing_sink(role)
+    accumulate_end = make_light_end_sink(wanted, role)
+    accumulate_crossing = make_interface_sink(role)
     is_interface, _behind = make_interface(config)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry

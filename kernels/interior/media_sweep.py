@@ -16,7 +16,7 @@ from warp_psdr.kernels.constants import FAR, LOBE_NULL, LOBE_SMOOTH, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
+from warp_psdr.kernels.interior.shadow_crossings import make_crossed_surface
 from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.medium.coefficients import (
     EMISSION,
@@ -62,13 +62,13 @@ def number_of(v: MediaVertex) -> wp.int32:
 
 
 @functools.cache
-def make_segment_sink(config: PathConfig, wanted: GradientRequest, role: str):
+def make_attenuation_sink(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_segment(scene, target, sampler, vertex, w) -> float32``.
 
     ``w`` is the adjoint of the transmittance of the segment to the vertex's light, which is walked again.
     """
     assert config.media is not None
-    shadow_crossing = make_shadow_crossing(config)
+    shadow_crossing = make_crossed_surface(config)
     interaction = make_interaction(config)
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
@@ -203,7 +203,7 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     emissive = config.media.emissive and (turned or bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media)))
     accumulate_emission = make_emission_sink(config.media.phases, role, wanted.media)
     accumulate_grid_emission = make_grid_emission_sink(config.media, role, wanted.media) if emissive and grids else None
-    accumulate_segment = make_segment_sink(config, wanted, role)
+    accumulate_segment = make_attenuation_sink(config, wanted, role)
     accumulate_material = make_material_sink(config, wanted, role)
     has_lights = bool(config.area or config.lights)
     smooth = samples_lights(config)

@@ -17,7 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.candidates import FLOOR, LightPoint, make_light_point
+from warp_psdr.kernels.interior.candidates import FLOOR, LightPoint, make_light_candidate
 from warp_psdr.kernels.interior.resampled import TwoChosen, make_resampling
 from warp_psdr.kernels.interior.shape_parameters import LEAST_SCALE, STEP
 from warp_psdr.kernels.invalid import inverse_pdf
@@ -211,7 +211,7 @@ def make_opposite(config: PathConfig, candidates: int) -> Opposite:
 
     if not samples_lights(config):
         return Opposite(numbers, directions, None)
-    light_point = make_light_point(config)
+    light_point = make_light_candidate(config)
 
     @wp.func
     def lights(

@@ -16,7 +16,7 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_shadow_crossing(config: PathConfig):
+def make_crossed_surface(config: PathConfig):
     """Return ``shadow_crossing(scene, vertex, number, start, t_max) -> RayHit``.
 
     The surface of that ``number`` on the segment to the vertex's light, which nothing blocks; face -1: none is left.

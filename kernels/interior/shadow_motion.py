@@ -10,8 +10,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_DIRECTIONAL, EMITTER_POINT, FAR, PHASE_SGGX
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.shadow_crossings import make_shadow_crossing
-from warp_psdr.kernels.medium.interface import make_crossing_sink
+from warp_psdr.kernels.interior.shadow_crossings import make_crossed_surface
+from warp_psdr.kernels.medium.interface import make_interface_sink
 from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.path_media import MediaVertex
@@ -66,9 +66,9 @@ def make_shadow_sink(config: PathConfig, role: str):
     ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
     again.
     """
-    shadow_crossing = make_shadow_crossing(config)
+    shadow_crossing = make_crossed_surface(config)
     is_interface, past = make_null_surface(config)
-    accumulate_crossing = make_crossing_sink(role)
+    accumulate_crossing = make_interface_sink(role)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases
     thinning, turning = make_thinning(config.media.phases)
@@ -110,7 +110,7 @@ def make_shadow_sink(config: PathConfig, role: str):
 
 
 @functools.cache
-def make_light_end(wanted: GradientRequest, role: str):
+def make_light_end_sink(wanted: GradientRequest, role: str):
     """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
 
     ``w`` is the adjoint of the point of the vertex's light; False: the light has none.

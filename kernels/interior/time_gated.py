@@ -20,7 +20,7 @@ from warp_psdr.kernels.interior.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.path_length import TimedVertex, make_light_point, make_timed_vertex
+from warp_psdr.kernels.path_length import TimedVertex, make_next_event_point, make_timed_vertex
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_point_at
 from warp_psdr.kernels.rng import Sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_origin
@@ -91,7 +91,7 @@ def make_time_gated_kernel(config: PathConfig, wanted: GradientRequest, most: in
     camera_origin = make_camera_origin(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
     timed_vertex = make_timed_vertex(config)
-    light_point = make_light_point(config)
+    light_point = make_next_event_point(config)
     point_at = make_point_at(config.primitives)
     accumulate_light_point = make_light_point_sink(config, wanted, "reverse")
     gate = make_time_gate(config.pulse)

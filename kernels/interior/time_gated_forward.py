@@ -16,7 +16,7 @@ from warp_psdr.kernels.interior.time_gated import make_light_point_sink
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.path_length import make_light_point, make_timed_vertex
+from warp_psdr.kernels.path_length import make_next_event_point, make_timed_vertex
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_origin
@@ -32,7 +32,7 @@ def make_time_gated_forward_kernel(
     lanes, starts, path_step = make_camera_paths(config, True)
     camera_origin = make_camera_origin(config.camera)
     timed_vertex = make_timed_vertex(config)
-    light_point = make_light_point(config)
+    light_point = make_next_event_point(config)
     point_at = make_point_at(config.primitives)
     move_light_point = make_light_point_sink(config, wanted, "forward")
     gate = make_time_gate(config.pulse)

@@ -47,7 +47,7 @@ def make_interface(config: PathConfig):
 
 
 @functools.cache
-def make_crossing_sink(role: str):
+def make_interface_sink(role: str):
     """Return ``accumulate_crossing(scene, target, face, u, v, d, t, w) -> RayAdjoint``.
 
     ``w`` is the adjoint of the distance t at which a ray along the unit vector d crosses a triangle.

@@ -71,7 +71,7 @@ def make_blend_weight(kinds: tuple[int, ...]):
 
 
 @functools.cache
-def make_blend(
+def make_phase_blend(
     kinds: tuple[int, ...], inner_eval: wp.Function, inner_sample: wp.Function
 ) -> tuple[wp.Function, wp.Function]:
     """Return ``eval`` and ``sample`` of ``phase/dispatch.py``, from those of all other kinds."""

@@ -14,7 +14,7 @@ from warp_psdr.kernels.constants import (
     TWO_PI,
 )
 from warp_psdr.kernels.math import any_tangent, to_world
-from warp_psdr.kernels.phase.blendphase import make_blend, make_blend_sink, make_blend_slopes
+from warp_psdr.kernels.phase.blendphase import make_blend_sink, make_blend_slopes, make_phase_blend
 from warp_psdr.kernels.phase.hg import hg_by_cosine, hg_cosine, hg_eval, hg_slope
 from warp_psdr.kernels.phase.isotropic import isotropic_cosine, isotropic_eval
 from warp_psdr.kernels.phase.microflakes import has_flakes, make_flake_sinks, make_microflakes
@@ -52,7 +52,7 @@ def make_phase(kinds: tuple[int, ...]) -> PhaseFunctions:
     """Return the functions for the kinds (PHASE_*) of a scene."""
     rest = unblended(kinds)
     if rest != kinds:
-        return PhaseFunctions(*make_blend(kinds, *make_phase(rest)))
+        return PhaseFunctions(*make_phase_blend(kinds, *make_phase(rest)))
     one = len(kinds) == 1
     forward, rayleigh, table = (kind in kinds for kind in (PHASE_HG, PHASE_RAYLEIGH, PHASE_TABLE))
     flakes = has_flakes(kinds)

@@ -200,7 +200,7 @@ def make_pull(cubic: bool):
 
 
 @functools.cache
-def make_segment(cubic: bool):
+def make_held_segment(cubic: bool):
     """Return ``segment_at(scene, g, u, v) -> CurveSegment``: what the two numbers of a vertex hold."""
 
     @wp.func
@@ -277,7 +277,7 @@ def make_curve_sink(role: str, cubic: bool, uv: bool, tangent: bool):
     a place alone.
     """
     accumulate_points = make_points_sink(role, cubic)
-    segment_at = make_segment(cubic)
+    segment_at = make_held_segment(cubic)
     surface_of = make_curve_surface(cubic, False)
     pull = make_pull(cubic)
 

@@ -27,9 +27,9 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors import make_light_sink
 from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.pullback import make_frame_vjp
-from warp_psdr.kernels.interior.shadow_motion import make_light_end, make_shadow_sink
+from warp_psdr.kernels.interior.shadow_motion import make_light_end_sink, make_shadow_sink
 from warp_psdr.kernels.medium.coefficients import coefficients_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink
+from warp_psdr.kernels.medium.interface import make_interface_sink
 from warp_psdr.kernels.path_media import MediaVertex, collision_point
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_slopes
 from warp_psdr.kernels.scattering import samples_lights
@@ -100,8 +100,8 @@ def make_transfer_sweep(config: PathConfig, wanted: GradientRequest, role: str, 
     lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
     environment_vjp = lights.environment_vjp if lights else None
     accumulate_shadow = make_shadow_sink(config, role)
-    accumulate_end = make_light_end(wanted, role)
-    accumulate_crossing = make_crossing_sink(role)
+    accumulate_end = make_light_end_sink(wanted, role)
+    accumulate_crossing = make_interface_sink(role)
     accumulate_edge = make_edge_sink(role) if sees_edges else None
     accumulate_vertex = make_vertex_sink(role, False, True, False, config.tangent, False, True)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None

@@ -45,7 +45,7 @@ class Emission:
 
 
 @functools.cache
-def make_emission(config: PathConfig):
+def make_photon_emission(config: PathConfig):
     """Return ``emit(scene, center, radius, u4, u2) -> Emission``; the sphere holds the scene."""
     sample_light = make_light_sampler(config)
     exact = make_shining(config.shining)
@@ -98,7 +98,7 @@ def make_emission(config: PathConfig):
 def make_photons_kernel(config: PathConfig):
     """Return the kernel: one thread a light path; it writes up to ``x_out.shape[1]`` photons, the others stay 0."""
     visibility = visibility_of(config)
-    emit = make_emission(config)
+    emit = make_photon_emission(config)
     interaction = make_interaction(config)
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d

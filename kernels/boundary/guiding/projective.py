@@ -109,7 +109,7 @@ def silhouette_at(
 
 
 @functools.cache
-def make_projection(backend: str, width: int):
+def make_edge_projection(backend: str, width: int):
     """Return ``to_silhouette(scene, edges, neighbours, face, o, d) -> Silhouette``: walk, jump, walk."""
     visibility = make_visibility(backend, width)
 
@@ -226,7 +226,7 @@ def make_seeds_kernel(config: PathConfig, kind: int):
     among_media = config.media is not None
     candidate = (make_media_candidate if among_media else make_candidate)(config, kind)
     line = make_line(config)[0] if among_media else None
-    to_silhouette = make_projection(config.ray_backend, config.ray_width)
+    to_silhouette = make_edge_projection(config.ray_backend, config.ray_width)
     to_light = kind == BLOCKED_LIGHT
     light_seed = make_light_seed(config) if to_light else None
     sample_1d = make_sampler(config.sampler).sample_1d

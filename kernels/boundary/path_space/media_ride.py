@@ -15,7 +15,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk, Sight
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.medium.grid_span import SpanAdjoint, make_grid_span, span_length, span_of
-from warp_psdr.kernels.medium.interface import make_crossing_sink, make_interface
+from warp_psdr.kernels.medium.interface import make_interface, make_interface_sink
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
 from warp_psdr.kernels.reading import texture_record
@@ -34,7 +34,7 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
     ``after`` it, whose adjoint is returned.
     ``ride_sight(scene, target, walk, sight, g) -> RayAdjoint``: of the camera's ray, whose adjoint is returned.
     """
-    accumulate_crossing = make_crossing_sink(role)
+    accumulate_crossing = make_interface_sink(role)
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
     is_interface, behind = make_interface(config)
     visibility = visibility_of(config)

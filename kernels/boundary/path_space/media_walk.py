@@ -10,7 +10,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_turn
+from warp_psdr.kernels.boundary.detector import MIN_COSINE, make_sensor_turn
 from warp_psdr.kernels.boundary.path_space.walk_flight import Flown, make_flown, make_flown_in_grid
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR, PHASE_SGGX
@@ -92,7 +92,7 @@ def make_media_walk(config: PathConfig):
     project = make_projection(config.camera)[0]
     position, _cross_of = make_position(config.primitives)
     scatters = interaction.eval is not None
-    turn = make_turn(config) if scatters else None
+    turn = make_sensor_turn(config) if scatters else None
 
     @wp.func
     def last_point(scene: Scene, hit: RayHit, d: wp.vec3) -> wp.float32:

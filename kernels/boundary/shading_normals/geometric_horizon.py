@@ -36,7 +36,7 @@ SLOT_POINT, SLOT_SIDE = 0, 1
 
 
 @functools.cache
-def make_side(config: PathConfig):
+def make_horizon_source(config: PathConfig):
     """Return ``side(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: L, negative below the triangle."""
     incident = make_incident(config)
 
@@ -56,7 +56,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
-    source = make_indirect(make_side(config)) if indirect else make_side(config)
+    source = make_indirect(make_horizon_source(config)) if indirect else make_horizon_source(config)
     transport = make_transport(config, role, camera_moves, source)
     both = config.two_sided or bool(passing(config.bsdfs))
     draw = make_sampler(config.sampler)

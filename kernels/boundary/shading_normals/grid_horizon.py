@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
-from warp_psdr.kernels.boundary.shading_normals.geometric_horizon import make_side
+from warp_psdr.kernels.boundary.shading_normals.geometric_horizon import make_horizon_source
 from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import FLAT, TILT
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     GridItems,
@@ -75,7 +75,7 @@ def make_grid_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, 
     visibility = visibility_of(config)
     surface_at = make_interaction(config).surface
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
-    source = make_indirect(make_side(config)) if indirect else make_side(config)
+    source = make_indirect(make_horizon_source(config)) if indirect else make_horizon_source(config)
     transport = make_transport(config, role, camera_moves, source, first=make_bent_first_sink)
     both = config.two_sided or bool(passing(config.bsdfs))
     draw = make_sampler(config.sampler)

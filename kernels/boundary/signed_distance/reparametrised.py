@@ -94,7 +94,7 @@ def make_film_point(kind: int):
 
 
 @functools.cache
-def make_turn(kind: int):
+def make_film_turn(kind: int):
     """Return ``turn(scene, camera, o, w, h, slope) -> vec3``: gradient by w of h ln(du / dw) + slope . u(w).
 
     u is the film point of the camera's ray o + t w, in pixels, and du / dw the area of film per solid angle.
@@ -120,7 +120,7 @@ def make_reparametrised_kernel(
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     moved = make_warp_field(config.primitives[0], options, role)
     draw_point, weigh_point = make_film_point(config.filter)
-    turn = make_turn(config.camera)
+    turn = make_film_turn(config.camera)
     interaction = make_interaction(config)
     has_lights = config.scatter and samples_lights(config)
     radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None

@@ -49,7 +49,7 @@ class Line:
 
 
 @functools.cache
-def make_crossing_sink(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
+def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
     """Return ``accumulate_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
 
     Adds what lies between the neighbouring points ``low`` and ``high`` of a line, as ``weight`` crossings.

@@ -14,7 +14,7 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
-from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_crossing_sink
+from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_line_sink
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     GO_ON,
     Block,
@@ -68,7 +68,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)
     identity = make_identity(config)
-    accumulate_crossings = make_crossing_sink(config, wanted, role, light_pose)
+    accumulate_crossings = make_line_sink(config, wanted, role, light_pose)
     path_step = make_path_step(config, False)
     interaction = make_interaction(config)
     has_smooth = interaction.eval is not None

@@ -14,7 +14,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_turn
+from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_film_turn
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.directions import make_direction_from
 from warp_psdr.kernels.boundary.warped_area.material_motion import make_material_motion
@@ -51,7 +51,7 @@ def make_path_warped_area_kernel(
         role, config.smooth, config.flat, config.uv, config.tangent, False, True, config.primitives
     )
     draw_point, weigh_point = make_film_point(config.filter)
-    turn = make_turn(config.camera)
+    turn = make_film_turn(config.camera)
     interaction = make_interaction(config)
     direction_from = make_direction_from(config, wanted, "samples")
     sample_4d = make_sampler(config.sampler).sample_4d

@@ -13,7 +13,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_turn
+from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_film_point, make_film_turn
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpAdjoint
 from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.directions import make_direction_from
@@ -43,7 +43,7 @@ def make_warped_area_kernel(
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role, links=False)
     moved = make_ray_motion(config, options, role)
     draw_point, weigh_point = make_film_point(config.filter)
-    turn = make_turn(config.camera)
+    turn = make_film_turn(config.camera)
     interaction = make_interaction(config)
     direction_from = make_direction_from(config, wanted, role)
     sample_4d = make_sampler(config.sampler).sample_4d
