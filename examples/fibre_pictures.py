@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from warp_psdr import plots
-from warp_psdr.scene.description import Curves
+from warp_psdr.scene.kinds.curve import Curves
 from warp_psdr.view.tubes import tube_field
 from warp_psdr.view.vtk_window import open_plotter
 

@@ -301,7 +301,7 @@ def first_gradient(folder: Path, fit: Fit, photos: list[np.ndarray], truth: np.n
         ("first gradient, negated: where the surface should move", "loss [squared radiance] per world unit"): gradient,
         ("truth minus start: where the surface has to move", "outwards [world units]"): way,
     }
-    curves = next(shape.curves for shape in scene.description.shapes if shape.curves is not None)
+    curves = next(shape.geometry for shape in scene.description.shapes if shape.geometry is not None)
     rows = {caption: (values * [1.0, 1.0, 1.0, 0.0]).reshape(-1, 4) for caption, values in fields.items()}
     try:
         fibre_pictures.draw_fields(folder / "gradient.png", curves, fit.points.reshape(-1, 4), rows, origin_of(0))

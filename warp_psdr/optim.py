@@ -11,6 +11,7 @@ import warp as wp
 
 from warp_psdr import compiler
 from warp_psdr.kernels import adam as kernels
+from warp_psdr.scene.kinds.sdfgrid import SdfGrid
 from warp_psdr.scene.layout import POSITIONS, SHAPE_GRID
 from warp_psdr.scene.parameters import check_independent
 
@@ -251,7 +252,8 @@ class LargeSteps(Adam):
         found = {n: scene.parameters[n] for n in self.lr}
         owners = {n: p.owner for n, p in found.items() if POSITIONS in p.uses}
         shapes = scene.description.shapes
-        grids = {n: p.shape for n, p in found.items() if SHAPE_GRID in p.uses and shapes[p.owner].grid is not None}
+        own = {n: p for n, p in found.items() if SHAPE_GRID in p.uses}
+        grids = {n: p.shape for n, p in own.items() if isinstance(shapes[p.owner].geometry, SdfGrid)}
         if not owners and not grids:
             raise ValueError(
                 f"LargeSteps: none of {list(self.lr)} are vertex positions or a grid, which it is for; use "

@@ -14,7 +14,7 @@ import warp as wp
 
 from warp_psdr.device import launch
 from warp_psdr.kernels.primitive.redistance import GIVEN, OPEN, make_mesh_distance_kernel, make_sweep_kernel
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.kinds.sdfgrid import is_passed
 from warp_psdr.startup import device_named
 
 __all__ = ["coefficients", "from_mesh", "redistance", "smooth_union", "to_mesh"]

@@ -3,7 +3,7 @@
 A layer is z = W a + bias. The activation, softplus or a sine, applies to all layers but the last, which is a single
 number. The first layer takes q, and for each frequency k the sines and cosines of 2^k pi q. The flat values hold the
 pose, a head, the layers (weights in rows, then biases), the same packed for SIMD, and the cells. A cell holds a number
-from bounds (``warp_psdr/scene/network_bounds.py``): its reach as on grids, or minus the greatest second derivative of
+from bounds (``network_bounds.py`` of the host): its reach as on grids, or minus the greatest second derivative of
 phi in it along a unit vector. The head holds the cells along an axis, layers, frequencies, activation (0: softplus, 1:
 sine) and its beta or omega, the offsets of the packed weights and the cells, and the widths of the input and of each
 layer. All sizes are read at run time, so networks of all sizes run in one kernel.

@@ -125,7 +125,7 @@ def derivatives(case: Case, mode: str, boundary="auto") -> np.ndarray:
     """Return the weighted derivative of every batch."""
     scene, params = load(case.scene)
     tangents, weights, _sums = differences(case)
-    shared = any(s.grid or s.network or s.curves for s in scene.description.shapes)
+    shared = any(s.geometry and not s.geometry.is_material for s in scene.description.shapes)
     options = {"integrator": case.integrator(boundary), "spp": case.spp * (OF_SHARES if shared else 1)}
     sums = []
     for batch in range(BATCHES):

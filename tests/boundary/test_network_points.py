@@ -20,8 +20,8 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import spline_curvature
 from warp_psdr.kernels.primitive.network import network_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.description import Network
-from warp_psdr.scene.network_bounds import cells_of
+from warp_psdr.scene.kinds.network_bounds import cells_of
+from warp_psdr.scene.kinds.neuralsdf import Network
 from warp_psdr.topology.network_silhouettes import network_items, network_shapes, passed_cells, seen_cells
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, spread

@@ -8,7 +8,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import TubeItems, choose_
 from warp_psdr.kernels.boundary.silhouette.tube_roots import QUARTIC, quartic_roots
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import own_touch, own_touch_density, seen_touch_density
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.topology.tubes import curve_shapes, tube_items
 
 from .etendue import assert_shares_agree, bin_of

@@ -9,7 +9,7 @@ from tests.rays.test_curves import KINDS, hair, load
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at, make_velocity
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 
 STEP = 1e-6
 #: Of velocities: float32, on points that are held to some 1e-6 of a segment.
@@ -100,7 +100,7 @@ def test_velocities(plugin: str) -> None:
     pose = np.eye(4, dtype=np.float32)
     pose[:3] = [[1.1, 0.2, 0.1, 0.1], [-0.1, 0.9, 0.1, -0.2], [0.1, -0.1, 1.2, -0.3]]
     scene = load(plugin, points, starts, to_world=psdr.Transform(pose))
-    curves = scene.description.shapes[0].curves
+    curves = scene.description.shapes[0].geometry
     assert curves is not None
     count, cubic = 160, curves.cubic
     local = points.astype(np.float64)

@@ -8,8 +8,7 @@ import warp_psdr as psdr
 from tests.networks import Net, fitted, neck
 from tests.path.test_sdfgrid import DIFFUSE, T
 from warp_psdr.kernels.primitive.network import HEAD, make_network_sink, phi_along, pull_phi
-from warp_psdr.scene.description import Network
-from warp_psdr.scene.network import derived
+from warp_psdr.scene.kinds.neuralsdf import Network, derived
 
 from .test_sdfgrid import assert_slope, entry
 

@@ -17,7 +17,7 @@ import warp as wp
 import warp_psdr as psdr
 from tests.networks import blob, fitted
 from tests.rays import test_curves, test_neuralsdf, test_sdfgrid, test_sdfgrid_cubic
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 
 #: Roundings of float32 by which a ray is uncertain where it is near the surface, over the size of its coordinates.
 ROUNDING = 2.0**-22
@@ -200,7 +200,7 @@ def network_body() -> Body:
 def curve_body(plugin: str, random: np.random.Generator) -> Body:
     points, starts = test_curves.hair(random, plugin, 0.05, 0.03)
     body = {"type": plugin, "control_points": points, "curve_starts": starts}
-    held = test_curves.load(plugin, points, starts).description.shapes[0].curves
+    held = test_curves.load(plugin, points, starts).description.shapes[0].geometry
     made = (tubes if plugin == "bsplinecurve" else cones)(points, held.firsts)
     return Body(body, test_curves.make_trace(test_curves.KINDS[plugin]), *made, 9, False)
 

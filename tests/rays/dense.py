@@ -15,7 +15,7 @@ import warp as wp
 
 from tests.rays import test_curves
 from tests.rays.crossings import ROUNDING, Body, Tally, dip, tubes, unit
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 
 #: Places along a segment between which signs are compared, and halvings of what lies between two.
 STEPS, HALVINGS = 2000, 50
@@ -109,7 +109,7 @@ def check(random: np.random.Generator, count: int, radius: float = 0.15, bend: f
         size = min(BLOCK, count - start)
         points = chain(random, int(random.integers(1, 4)), radius, bend)
         scene = test_curves.load("bsplinecurve", points, [0])
-        curves = scene.description.shapes[0].curves
+        curves = scene.description.shapes[0].geometry
         o, d = rays(random, points, size)
         shifted = (o - scene.origin).astype(np.float32)
         given = [wp.array(x, dtype=wp.vec3, device=scene.device) for x in (shifted, d)]

@@ -132,7 +132,7 @@ def cone_body(random: np.random.Generator) -> Body:
 
 def cones_of(points: np.ndarray, starts: list[int]) -> Body:
     body = {"type": "linearcurve", "control_points": points, "curve_starts": starts}
-    firsts = test_curves.load("linearcurve", points, starts).description.shapes[0].curves.firsts
+    firsts = test_curves.load("linearcurve", points, starts).description.shapes[0].geometry.firsts
     head = [wp.array(points, dtype=wp.vec4d, device="cpu"), wp.array(firsts, dtype=wp.int32, device="cpu")]
 
     def search(*rays: np.ndarray) -> np.ndarray:

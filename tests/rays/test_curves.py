@@ -9,7 +9,7 @@ from warp_psdr.kernels.primitive.curve_kinds import CONES, TUBES
 from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 
 KINDS = {"linearcurve": CONES.number, "bsplinecurve": TUBES.number}
 #: Rounding of points, over the largest coordinate.
@@ -134,7 +134,7 @@ def test_no_ray_passes_a_curve(plugin: str, radius: float, curl: float, count: i
     rng = np.random.default_rng(3)
     points, starts = hair(rng, plugin, radius, curl)
     scene = load(plugin, points, starts)
-    curves = scene.description.shapes[0].curves
+    curves = scene.description.shapes[0].geometry
     x, n = (on_tubes if plugin == "bsplinecurve" else on_cones)(rng, points, curves.firsts, count)
     away = rng.standard_normal(x.shape)
     away *= np.where((away * n).sum(axis=1) < 0.0, -1.0, 1.0)[:, None] / np.linalg.norm(away, axis=1)[:, None]
@@ -174,7 +174,7 @@ def test_rays_start_in_the_boxes_of_many_pieces(plugin: str) -> None:
     places = across + np.linspace(-1.5, 1.5, 4)[:, None] * np.ones(3)
     points = np.concatenate([places, np.full((100, 4, 1), 0.004)], axis=2).reshape(-1, 4).astype(np.float32)
     scene = load(plugin, points, list(range(0, 400, 4)))
-    firsts = scene.description.shapes[0].curves.firsts
+    firsts = scene.description.shapes[0].geometry.firsts
     x, n = (on_tubes if plugin == "bsplinecurve" else on_cones)(rng, points, firsts, 4000)
     o = rng.uniform(-0.3, 0.3, x.shape).astype(np.float32)
     d = x - o

@@ -8,8 +8,8 @@ import warp_psdr as psdr
 from tests.networks import fitted, sphere
 from warp_psdr.kernels.primitive.network import POSE
 from warp_psdr.kernels.primitive.network_expansion import EXPANSION, network_expansion
-from warp_psdr.scene.description import Network
-from warp_psdr.scene.network_bounds import cells_of, steepness, values_of
+from warp_psdr.scene.kinds.network_bounds import cells_of, steepness, values_of
+from warp_psdr.scene.kinds.neuralsdf import Network
 
 #: Rounding of float32 gradients and Hessians over their size, and that of phi, which comes out of double precision.
 ROUNDING, ROUNDING_OF_PHI = 1e-4, 1e-7

@@ -10,8 +10,8 @@ from warp_psdr.kernels.primitive.dispatch import make_hit, make_surface_at
 from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.description import Network
-from warp_psdr.scene.network_bounds import bounds_of, cells_of, values_of
+from warp_psdr.scene.kinds.network_bounds import bounds_of, cells_of, values_of
+from warp_psdr.scene.kinds.neuralsdf import Network
 
 from .test_sdfgrid import rays, samples
 

@@ -13,7 +13,7 @@ from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.primitive.sdfgrid import pack, unpack
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.scene.exact import held_points
+from warp_psdr.scene.kinds.zero_set import held_points
 
 KINDS = (LINEAR_GRID.number, CUBIC_GRID.number)
 HIT = make_hit(KINDS)

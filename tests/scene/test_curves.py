@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.options import interior
-from warp_psdr.scene.curve_files import read_curves
+from warp_psdr.scene.kinds.curve_files import read_curves
 
 T = psdr.Transform
 #: Two B-splines of four and six control points.

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.scene.exact import POINTS, position_of, sphere_points
+from warp_psdr.scene.kinds.records import position_of
+from warp_psdr.scene.kinds.sphere import Sphere
 from warp_psdr.topology.exact_shapes import _across, crossed_faces, exact_shapes, least_distance, runs_through
 
 T = psdr.Transform
@@ -104,12 +105,12 @@ def test_records_follow_edits() -> None:
 def test_points_are_on_the_sphere() -> None:
     random = np.random.default_rng(0)
     u, v = random.uniform(-1.0, 1.0, (2, 1000))
-    q = sphere_points(u, v)
+    q = Sphere.points(u, v)
     np.testing.assert_allclose(np.linalg.norm(q, axis=1), 1.0, atol=1e-12)
     held = scene(ball=sphere(to_world=POSE))
     x = position_of(held, held.triangles.numpy()[0], 0.3, -0.4)
     local = np.linalg.inv(POSE.matrix) @ np.append(x, 1.0)
-    np.testing.assert_allclose(local[:3], sphere_points(0.3, -0.4), atol=1e-6)
+    np.testing.assert_allclose(local[:3], Sphere.points(0.3, -0.4), atol=1e-6)
 
 
 def pierced(held: psdr.Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
@@ -169,7 +170,7 @@ def test_other_kinds_have_a_pose_and_a_box() -> None:
     records = held.triangles.numpy()
     for record in records:
         for u, v in ((0.3, -0.4), (-0.1, 0.5)):
-            q = POINTS[-1 - int(record["i1"])](u, v)
+            q = held.geometry(int(record["shape"])).points(u, v)
             linear = np.stack([record["p0"], record["p1"], record["p2"]], axis=1)
             np.testing.assert_allclose(position_of(held, record, u, v), linear @ q + record["normal"], atol=1e-6)
 

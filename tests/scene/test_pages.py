@@ -71,7 +71,7 @@ def load(description: dict) -> psdr.Scene:
 def described(scene: psdr.Scene) -> np.ndarray:
     """Return the grid that a scene's description holds."""
     shape = scene.description.shapes[0]
-    return shape.interior.sigma_t.value if shape.grid is None else shape.grid.values
+    return shape.interior.sigma_t.value if shape.geometry is None else shape.geometry.values
 
 
 def places(least: int = 2 * N**3) -> list[int]:

@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.scene import Transform, describe_dict
-from warp_psdr.scene.primitives import PRIMITIVES
+from warp_psdr.scene.kinds.table import TESSELLATED
 
 #: Float32 rounding of coordinates of size 1 to 10.
 ROUNDING = 2e-5
@@ -29,10 +29,10 @@ def open_edges(faces):
     return [edge for edge in edges if edge[::-1] not in edges]
 
 
-@pytest.mark.parametrize("kind", PRIMITIVES)
+@pytest.mark.parametrize("kind", TESSELLATED)
 @pytest.mark.parametrize("resolution", [3, 5, 64])
 def test_triangles_face_the_way_their_normals_point(kind, resolution):
-    mesh = PRIMITIVES[kind](resolution)
+    mesh = TESSELLATED[kind](resolution)
     corners = mesh.vertices[mesh.faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert np.all(np.einsum("mi,mki->mk", normal, mesh.normals[mesh.faces]) > 0.0)
@@ -59,13 +59,13 @@ def test_vertices_lie_on_the_surface():
 
 @pytest.mark.parametrize("kind, exact", [("sphere", 4.0 * np.pi), ("disk", np.pi), ("cylinder", 2.0 * np.pi)])
 def test_area_error_is_the_stated_one(kind, exact):
-    mesh = PRIMITIVES[kind](64)
+    mesh = TESSELLATED[kind](64)
     corners = mesh.vertices[mesh.faces]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
     assert 0.0 < 1.0 - area / exact < (np.pi / 64) ** 2
 
 
-@pytest.mark.parametrize("kind", PRIMITIVES)
+@pytest.mark.parametrize("kind", TESSELLATED)
 def test_world_vertices_follow_from_the_local_ones(kind):
     pose = Transform.translate([1.0, 2.0, 3.0]).rotate([0.0, 1.0, 0.0], 30.0).scale([1.0, 2.0, 0.5])
     x = shape(kind, to_world=pose)
@@ -120,7 +120,7 @@ def test_resolution_is_settable():
     assert len(shape("disk", resolution=16).faces) == 16
 
 
-@pytest.mark.parametrize("kind", PRIMITIVES)
+@pytest.mark.parametrize("kind", TESSELLATED)
 def test_normals_and_texcoords_equal_mitsubas(kind):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")

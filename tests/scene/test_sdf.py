@@ -7,7 +7,7 @@ import trimesh
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes, sphere
 from tests.rays.test_sdfgrid_cubic import spline
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.kinds.sdfgrid import is_passed
 
 RADIUS = 0.3
 

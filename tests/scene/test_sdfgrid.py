@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from tests.rays.test_sdfgrid_cubic import spline
 from tests.scene.test_volumes import header
 from warp_psdr.options import boundary, interior
-from warp_psdr.scene.sdfgrid import reaches
+from warp_psdr.scene.kinds.sdfgrid import reaches
 
 T = psdr.Transform
 AT = np.linspace(0.0, 1.0, 6)

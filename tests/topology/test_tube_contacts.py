@@ -5,7 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.kernels.primitive.curves_overlap import TOUCHING
-from warp_psdr.scene.curve_points import coefficients
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.topology.exact_shapes import least_distance
 from warp_psdr.topology.tube_contacts import pierced_segments, pierced_tubes
 

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from warp_psdr.scene.curve_points import coefficients
-from warp_psdr.scene.description import Curves
+from warp_psdr.scene.kinds.bsplinecurve import BSplineCurve, coefficients
+from warp_psdr.scene.kinds.curve import Curves
+from warp_psdr.scene.kinds.linearcurve import LinearCurve
 from warp_psdr.view.tubes import RINGS, SIDES, tube_field, tube_mesh
 
 #: Rounding of float64 arithmetic.
@@ -18,7 +19,8 @@ def curves(cubic: bool) -> Curves:
     parts[1][:, 0] += 2.0
     points = np.column_stack([np.concatenate(parts), rng.uniform(0.05, 0.1, 12)])
     count = 3 if cubic else 5
-    return Curves(points, np.concatenate([np.arange(count), 6 + np.arange(count)]).astype(np.int32), cubic)
+    firsts = np.concatenate([np.arange(count), 6 + np.arange(count)]).astype(np.int32)
+    return (BSplineCurve if cubic else LinearCurve)(points, firsts)
 
 
 def pose() -> np.ndarray:

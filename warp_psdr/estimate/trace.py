@@ -26,7 +26,7 @@ from warp_psdr.options.integrator import Integrator, PathIntegrator
 from warp_psdr.plan import media
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
-from warp_psdr.scene.exact import position_of
+from warp_psdr.scene.kinds.records import position_of
 from warp_psdr.scene.loaded import check_loaded
 
 if TYPE_CHECKING:
@@ -239,4 +239,4 @@ def _vertex(scene: Scene, record: np.void) -> TracedVertex:
     u, v = record["u"], record["v"]
     position = position_of(scene, tri, u, v) + scene.origin
     shape = scene.description.shapes[int(tri["shape"])]
-    return TracedVertex(shape.path, shape.bsdf.model, -1 if shape.primitive else face, position, *rest)
+    return TracedVertex(shape.path, shape.bsdf.model, face if shape.geometry is None else -1, position, *rest)

@@ -8,19 +8,20 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.constants import METERS
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
+from warp_psdr.kernels.primitive.kind import FLOWS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Method, PathSpace, Projective, Reparametrised
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.bsdfs import model_of
-from warp_psdr.scene.curves import INSTEAD as TUBES
-from warp_psdr.scene.exact import EXACT, KINDS
-from warp_psdr.scene.network import INSTEAD as GRIDDED
-from warp_psdr.scene.network import network_and_cells
-from warp_psdr.scene.sdfgrid import INSTEAD as TRIANGLES
+from warp_psdr.scene.kinds import table
+from warp_psdr.scene.kinds.kind import geometry_of
+from warp_psdr.scene.kinds.neuralsdf import network_and_cells
+from warp_psdr.scene.kinds.sdfgrid import SdfGrid
+from warp_psdr.scene.kinds.table import MATERIAL
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
 from warp_psdr.topology.grid_contacts import in_box, is_open, passed_by, pierced_grid
-from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values
+from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 #: Methods of the interior term that know such shapes.
 CLAIMED = (interior.Replay, interior.Textbook, interior.Radiative)
 #: Kinds of shapes that may be of models which are mirrors or glass and more, where others may be the one or the other.
-MIXED = tuple(EXACT.values())
+MIXED = MATERIAL
 #: What the errors offer.
 ALONE = "say PathIntegrator(boundary=None) to get the interior term alone"
 INSTEAD = "leave out 'exact', and it is made of triangles, which do"
@@ -45,51 +46,23 @@ INSTEAD = "leave out 'exact', and it is made of triangles, which do"
 
 def kinds(scene: Scene) -> tuple[int, ...]:
     """Return the numbers of the kinds of a scene, for the path loop."""
-    return tuple(sorted({KINDS[scene.description.shapes[i].primitive] for i in scene.builder.primitives}))
+    return tuple(sorted({scene.geometry(i).device.number for i in scene.builder.primitives}))
 
 
 def are_exact(config: PathConfig) -> bool:
     """Return whether all shapes without triangles are exact ones, whose points are material."""
-    return set(config.primitives) <= set(EXACT.values())
+    return set(config.primitives) <= set(MATERIAL)
 
 
 def shining(scene: Scene) -> tuple[int, ...]:
     """Return those kinds of a scene that shine."""
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
-    return tuple(sorted({KINDS[s.primitive] for s in shapes if s.emitter is not None}))
+    return tuple(sorted({geometry_of(s).device.number for s in shapes if s.emitter is not None}))
 
 
 def describe(scene: Scene) -> list[tuple[str, str, str]]:
     """Return the plan's lines."""
-    names: dict[str, list[str]] = {}
-    for i in scene.builder.primitives:
-        shape = scene.description.shapes[i]
-        names.setdefault(shape.primitive, []).append(shape.path)
-    lines = []
-    exact = ", ".join(f"{len(paths)} {kind}" for kind, paths in names.items() if kind in EXACT)
-    if exact:
-        lines.append(("exact shapes", exact, "without triangles; every ray is tested against each"))
-    grids = [scene.description.shapes[i] for i in scene.builder.primitives if scene.description.shapes[i].grid]
-    if grids:
-        sizes = [
-            " x ".join(str(n) for n in s.grid.values.shape[2::-1]) + " cubic" * s.grid.cubic
-            for s in grids
-            if s.grid is not None
-        ]
-        lines.append(("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each"))
-    for i in scene.builder.primitives:
-        network = scene.description.shapes[i].network
-        if network is not None:
-            widths = [str(network.layers[0][0].shape[1]), *(str(w.shape[0]) for w, _b in network.layers)]
-            activation = f"{'sine, omega' if network.sine else 'softplus, beta'} {network.scale:g}"
-            why = f"{activation}; rays go from cell to cell, and by bounds of its second derivatives in each"
-            lines.append((f"network {scene.description.shapes[i].path}", " - ".join(widths), why))
-    for i in scene.builder.curves:
-        curves = scene.description.shapes[i].curves
-        if curves is not None:
-            pieces = f"{curves.pieces} pieces of each" if curves.cubic else "straight"
-            lines.append((f"curves {scene.description.shapes[i].path}", f"{len(curves.firsts)} segments", pieces))
-    return lines
+    return table.describe(scene.description.shapes)
 
 
 def refuse(
@@ -108,13 +81,12 @@ def refuse(
     if not config.primitives:
         return
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]
-    light = next((s for s in shapes if s.kind in EXACT and s.emitter is not None), None)
-    resting = next((s for s in shapes if s.kind not in EXACT), None)
+    light = next((s for s in shapes if geometry_of(s).is_material and s.emitter is not None), None)
+    resting = next((s for s in shapes if not geometry_of(s).is_material), None)
     if resting is not None:
         reason = _beside_resting(scene, config, integrator, wanted, names, moving)
         if reason:
-            instead = TRIANGLES if resting.grid is not None else GRIDDED if resting.network is not None else TUBES
-            raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {instead}")
+            raise ValueError(f"{resting.path!r} is a {resting.kind!r}, and {reason}; or {geometry_of(resting).instead}")
         return
     shape = light or shapes[0]
     reason = ""
@@ -214,7 +186,7 @@ def _of_boundary(scene: Scene, config: PathConfig, integrator: PathIntegrator) -
 
 def _as_a_mirror(shape: ShapeDescription) -> str:
     """Say why what moves is not followed through a shape that is a smooth mirror or glass; empty: it is, or is none."""
-    kind = KINDS[shape.primitive]
+    kind = geometry_of(shape).device.number
     models = [model_of(b) for b in shape.bsdf.sides if model_of(b).has_delta]
     if not models or kind in MIXED:
         return ""
@@ -233,7 +205,7 @@ def _of_mirrors(scene: Scene) -> str:
         reason = _as_a_mirror(s)
         if reason:
             return reason
-        if s.grid is not None and s.grid.smooth:
+        if isinstance(s.geometry, SdfGrid) and s.geometry.smooth:
             turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
             curves = "curves that are not followed through smooth mirrors and glass"
             return f"{turned}, along {curves}; say 'normals': 'analytic'"
@@ -249,9 +221,7 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
         return ""  # ``plan/reparametrised.py`` says what it does
     shapes = scene.description.shapes
     for i in grid_shapes(scene):
-        grid = shapes[i].grid
-        assert grid is not None
-        if is_open(grid_values(scene, i), grid.cubic):
+        if is_open(grid_values(scene, i), is_smooth_grid(scene, i)):
             opened = f"the surface of {shapes[i].path!r} ends at its box, along a curve that moves"
             return f"{opened}; give positive values all around, or {ALONE}"
     reason = _of_exact(scene, config, integrator, names)
@@ -261,7 +231,7 @@ def _beside_moving_kinds(scene: Scene, config: PathConfig, integrator: PathInteg
         if kept(scene, ("open network", i), functools.partial(_is_open, scene, i)):
             opened = f"the surface of {shapes[i].path!r} may end at its box, along a curve that moves"
             return f"{opened}; keep phi positive all around, or {ALONE}"
-        if scene.builder.curves:
+        if set(config.primitives) & set(CURVES):
             return f"beside {shapes[i].path!r} curves have no boundary term; leave them out, or {ALONE}"
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
@@ -294,12 +264,13 @@ def refuse_flow(scene: Scene, config: PathConfig) -> None:
         raise ValueError(f"vertices that flow along normals have no terms beside smooth mirrors and glass; {instead}")
     for i in scene.builder.primitives:
         s = scene.description.shapes[i]
-        if s.grid is None and s.network is None and s.curves is None:
+        geometry = geometry_of(s)
+        if geometry.is_material:
             continue
-        if s.curves is not None or (s.grid is not None and not s.grid.cubic):
-            kind = "normals that jump at joints" if s.curves is not None else "normals that jump at the faces of voxels"
+        if geometry.device.moves != FLOWS:
             raise ValueError(
-                f"vertices on the {s.kind!r} {s.path!r} have no normals to flow along, but {kind}; {instead}"
+                f"vertices on the {s.kind!r} {s.path!r} have no normals to flow along, but normals that jump at "
+                f"{geometry.jumps}; {instead}"
             )
         surface = passed_by(scene, i)
         if surface.box is None:

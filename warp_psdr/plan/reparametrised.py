@@ -19,13 +19,14 @@ from warp_psdr.kernels.boundary.signed_distance.reparametrised import make_repar
 from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
+from warp_psdr.kernels.primitive.kind import FLOWS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, Reparametrised
 from warp_psdr.plan import warped_area
 from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
-from warp_psdr.scene.network import bound_slopes, network_and_cells
-from warp_psdr.scene.sdfgrid import CORNERS
+from warp_psdr.scene.kinds.neuralsdf import Network, bound_slopes, network_and_cells
+from warp_psdr.scene.kinds.zero_set import CORNERS, ZeroSet
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import area_normals
 from warp_psdr.topology.exact_shapes import pose, require_uncut
@@ -110,7 +111,7 @@ def prepare(scene: Scene, method: Method) -> None:
     """Let a network hold what steps of rays along its distance need, once nothing is refused."""
     if isinstance(method, Distances):
         shape = scene.builder.primitives[0]
-        if scene.description.shapes[shape].network is not None:
+        if isinstance(scene.geometry(shape), Network):
             bound_slopes(scene, shape)
 
 
@@ -145,16 +146,17 @@ def _of_shape(scene: Scene, shape: int) -> str:
     linear, _origin = pose(scene, shape)
     axes = np.linalg.svd(linear, compute_uv=False)
     similar = axes[0] - axes[2] <= SIMILAR * axes[0]
-    if s.primitive == "sphere":
+    geometry = scene.geometry(shape)
+    if geometry.name == "sphere":
         return "" if similar else f"{s.path!r} is an ellipsoid, whose equation is no distance"
-    if s.grid is None and s.network is None:
+    if not isinstance(geometry, ZeroSet):
         return f"a {s.kind!r} has no signed distance here ({s.path!r})"
-    if s.grid is not None and not s.grid.cubic:
+    if geometry.device.moves != FLOWS:
         what = "tri-linear grids have no curvature but at their creases, where the divergence of the rays' motion jumps"
         return f"{what} ({s.path!r}): say 'interpolation': 'cubic' and sample its values anew"
     if not similar:
         return f"the pose of {s.path!r} is no similarity, and its values are no distances behind it"
-    if s.network is not None:
+    if isinstance(geometry, Network):
         cells = network_and_cells(scene, shape)[1]
         at, layers = passed_cells(cells), int(np.ceil(FADE * len(cells)))
         if ((at < layers) | (at >= len(cells) - layers)).any():
@@ -170,7 +172,7 @@ def _of_shape(scene: Scene, shape: int) -> str:
 def _heights(scene: Scene, shape: int, at: np.ndarray, normal: np.ndarray) -> tuple[float, float]:
     """Return the least and the largest height of a shape over a plane, of a grid those of its box."""
     linear, origin = pose(scene, shape)
-    if scene.description.shapes[shape].primitive == "sphere":
+    if scene.geometry(shape).name == "sphere":
         middle, reach = float((origin - at) @ normal), float(np.linalg.norm(linear, 2))
         return middle - reach, middle + reach
     found = (CORNERS @ linear.T + origin - at) @ normal
@@ -188,7 +190,7 @@ def _of_camera(scene: Scene, config: PathConfig, sensor: int) -> str:
     linear, center = pose(scene, shape)
     local = np.linalg.solve(linear, view.pose[:3, 3] - center)
     within = bool(np.linalg.norm(local) <= 1.0)
-    if scene.description.shapes[shape].primitive != "sphere":
+    if scene.geometry(shape).name != "sphere":
         within = bool(((local >= 0.0) & (local <= 1.0)).all())
         require_uncut_grids(scene, sensor, [shape])
     else:

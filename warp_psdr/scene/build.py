@@ -14,7 +14,6 @@ from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, MadeTable, Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
 from warp_psdr.kernels.vertex import MediaConfig
-from warp_psdr.scene.curves import add_curves
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -23,14 +22,11 @@ from warp_psdr.scene.layout import (
     NORMALS,
     POSITIONS,
     RADIANCE,
-    SHAPE_GRID,
     SHAPE_POSE,
     TEXCOORDS,
     Layout,
 )
 from warp_psdr.scene.medium_records import MediaRecords
-from warp_psdr.scene.network import add_network
-from warp_psdr.scene.sdfgrid import walk_values
 from warp_psdr.scene.sky_model import TURBIDITIES
 from warp_psdr.scene.sunsky import SkyRecord
 from warp_psdr.scene.tables import PlacedTable
@@ -105,7 +101,7 @@ class Builder:
         self.bumped: set[int] = set()  #: numbers of materials that read how a texture rises
         self.heights: set[int] = set()  #: numbers of the bitmaps that bump maps read
         self.primitives: list[int] = []  #: numbers of the shapes without triangles, in the order of their records
-        self.curves: dict[int, int] = {}  #: shape of curves -> flat offset of what the kernels read of it
+        self.frames: dict[int, int] = {}  #: each of them -> flat offset of the matrix that its record holds
         self.prototypes: list[Prototype] = []
         self.pose_of: dict[int, str] = {}  #: shape with a pose -> name of the pose
         self._prototype_index: dict[int, int] = {}
@@ -138,9 +134,9 @@ class Builder:
         # Positions of all shapes first and in one stretch: the ray structure reads them in place.
         self.positions = self.layout.add_values(np.zeros(0))
         for number, s in enumerate(shapes):
-            if s.primitive:
+            if s.geometry is not None:
                 self.primitives.append(number)
-            if s.prototype is not None or s.primitive:
+            if s.prototype is not None or s.geometry is not None:
                 offset = self.layout.add_values(s.vertices)
             else:
                 offset = self.layout.add(
@@ -177,18 +173,9 @@ class Builder:
             record.uv_offset = offset - 2 * record.first_vertex
         if s.to_world is not None:
             self.pose_of[number] = f"{s.instance or s.path}.to_world"
-            self.layout.add(self.pose_of[number], s.to_world, SHAPE_POSE, owner=number, placed=True)
-        if s.grid is not None:
-            # The kernels read both from the offset of the pose (``kernels/primitive/sdfgrid.py``).
-            nodes = s.grid.values.shape
-            self.layout.add_values(np.array([nodes[2], nodes[1], nodes[0], s.grid.smooth]))
-            offset = self.layout.add(f"{s.path}.grid", s.grid.values, SHAPE_GRID, owner=number)
-            self.layout.hold(s.grid, "values", offset)
-            self.layout.add_values(walk_values(s.grid.values, s.grid.cubic))
-        if s.network is not None:
-            add_network(self.layout, s, number)
-        if s.curves is not None:
-            self.curves[number] = add_curves(self.layout, s, number)
+            pose = self.layout.add(self.pose_of[number], s.to_world, SHAPE_POSE, owner=number, placed=True)
+            if s.geometry is not None:
+                self.frames[number] = s.geometry.lay(self.layout, s.path, number, pose)
 
     def _copy_values(self, s: ShapeDescription, source: ShapeDescription, record, number: int) -> None:
         """Lay out what a copy by an instance has of its own, and what it shares unless another copy has."""

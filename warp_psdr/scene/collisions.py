@@ -58,7 +58,7 @@ class Tracking:
 
     parameter: str
     medium: str  #: its name
-    grid: SuperGrid
+    super_grid: SuperGrid
     scale: int  #: flat offset
     pose: int  #: flat offset; -1: it is no parameter
     to_world: np.ndarray  #: (4, 4) where it is none
@@ -72,16 +72,18 @@ class Tracking:
         Raises:
             ValueError: With what it would cost.
         """
-        offset, shape = self.grid.offset, self.grid.shape
+        offset, shape = self.super_grid.offset, self.super_grid.shape
         values = held[offset : offset + int(np.prod(shape))].reshape(shape)
         factor = float(held[self.scale])
         first, size = self.flakes
         if size:
             factor *= area_of(held[first : first + size].reshape(-1, 6))
         to_world = self.to_world if self.pose < 0 else held[self.pose : self.pose + 16].reshape(4, 4)
-        count = null_collisions(values, self.grid.wrap, factor, to_world, self.extent, self.most)
+        count = null_collisions(values, self.super_grid.wrap, factor, to_world, self.extent, self.most)
         if count > self.most:
-            raise ValueError(too_many(self.medium, self.grid.parameter, float(values.max()) * factor, count, after))
+            raise ValueError(
+                too_many(self.medium, self.super_grid.parameter, float(values.max()) * factor, count, after)
+            )
 
     def rebuild(self, values: wp.array, held: np.ndarray) -> None:
         """Check the values that are held; see ``check``."""

@@ -71,8 +71,8 @@ class Context:
         self._numbers = 0
         #: Triangles of all instances so far.
         self.instanced = 0
-        #: Paths of the grids of signed distances in groups that have an instance.
-        self.placed_grids: set[str] = set()
+        #: Paths of the shapes without triangles in groups that have an instance.
+        self.placed_shapes: set[str] = set()
         self.search_paths: list[Path] = []
         self.notes: list[str] = []
         self.named: dict[str, dict] = {}

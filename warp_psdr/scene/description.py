@@ -8,9 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
+
+if TYPE_CHECKING:
+    from .kinds.kind import Geometry
 
 
 @dataclass(eq=False)
@@ -159,39 +162,8 @@ class MediumDescription:
 
 
 @dataclass(eq=False)
-class SdfGrid:
-    """Signed distances at the nodes of a grid in [0, 1]^3."""
-
-    values: np.ndarray  #: (Z, Y, X, 1)
-    smooth: bool  #: shading normals are interpolated between voxels
-    cubic: bool = False  #: the values are coefficients of a B-spline
-
-
-@dataclass(eq=False)
-class Network:
-    """Signed distances in [0, 1]^3 by a multi-layer perceptron."""
-
-    layers: list[tuple[np.ndarray, np.ndarray]]  #: weights (out, in) and biases (out,), float64
-    frequencies: int  #: of the sines and cosines of 2^k pi x that the first layer takes beside x
-    sine: bool  #: the activation is a sine; else softplus
-    scale: float  #: its omega, or beta
-    count: int  #: cells of the box along an axis
-    cells: np.ndarray | None = None  #: (Z, Y, X) what is known of cells of the box, as the kernels read it
-
-
-@dataclass(eq=False)
-class Curves:
-    """Curves with a radius."""
-
-    points: np.ndarray  #: (N, 4) control points: x, y, z, radius
-    firsts: np.ndarray  #: (S,) int32: of each segment, the number of its first control point
-    cubic: bool  #: B-splines of four control points a segment; else straight ones between two
-    pieces: int = 1  #: into which rays see a segment cut
-
-
-@dataclass(eq=False)
 class ShapeDescription:
-    """A triangle mesh, world space, or a shape without triangles (``primitive``)."""
+    """A triangle mesh, world space, or a shape without triangles (``geometry``)."""
 
     path: str
     kind: str  #: plugin name
@@ -216,11 +188,7 @@ class ShapeDescription:
     #: the instance, whose ``to_world`` they have. A grid of signed distances is no copy: it is where its instance is.
     prototype: ShapeDescription | None = None
     instance: str = ""
-    #: Shapes without triangles: the plugin. ``vertices`` are corners of a box around them.
-    primitive: str = ""
-    grid: SdfGrid | None = None
-    network: Network | None = None
-    curves: Curves | None = None
+    geometry: Geometry | None = None  #: of a shape without triangles; ``vertices`` are corners of a box around it
     repairs: dict[str, int] = field(default_factory=dict)  #: e.g. {"zero-area triangles dropped": 3}
 
     @property

@@ -15,10 +15,10 @@ import numpy as np
 from . import shapes
 from .description import ShapeDescription
 from .errors import ReportedError, error, limit
+from .kinds.kind import geometry_of
 from .meshes import MeshData, check
 from .origin import moved
 from .plugins import Properties
-from .sdfgrid import CORNERS, SDFGRID
 from .transforms import transform_normals, transform_points
 
 if TYPE_CHECKING:
@@ -83,8 +83,9 @@ def _group(node: dict, where: str, path: str, context: Context) -> list[ShapeDes
         finally:
             context.origin = origin
         props.finish()
-        if len(found) > 1 and any(shape.grid is not None for shape in found):
-            raise error(where, f"a '{SDFGRID}' beside other shapes of a 'shapegroup'", "give it a group of its own")
+        alone = next((shape.geometry for shape in found if shape.geometry is not None), None)
+        if len(found) > 1 and alone is not None:
+            raise error(where, f"{alone.title} beside other shapes of a 'shapegroup'", "give it a group of its own")
         return found
 
     return context.build(node, where, "shapegroup", make, shared=True)
@@ -101,17 +102,13 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
         )
     if shape.sensor is not None:
         raise error(where, "a sensor on a shape of a 'shapegroup'", "put the shape that measures in the scene")
-    if shape.grid is not None:
+    if shape.geometry is not None:
+        if shape.geometry.outside_groups:
+            raise error(where, f"{shape.geometry.title} inside a 'shapegroup'", shape.geometry.outside_groups)
         if shape.to_world is not None and not np.array_equal(shape.to_world, np.eye(4)):
-            raise error(where, f"a pose of a '{SDFGRID}' inside a 'shapegroup'", "give it to the 'instance'")
+            raise error(where, f"a pose of {shape.geometry.title} inside a 'shapegroup'", "give it to the 'instance'")
         found.append(shape)
         return
-    if shape.network is not None or shape.curves is not None:
-        raise error(where, f"a '{shape.kind}' inside a 'shapegroup'", "put it in the scene itself, once for each place")
-    if shape.primitive:
-        raise error(
-            where, f"an exact '{shape.kind}' inside a 'shapegroup'", "leave out 'exact', or put it in the scene itself"
-        )
     # Its own pose is a part of its vertices.
     found.append(dataclasses.replace(shape, to_world=None, local_vertices=None, local_normals=None))
 
@@ -131,23 +128,24 @@ def _instance(props: Properties) -> list[ShapeDescription]:
         raise error(where, f"an 'instance' of a '{node['type']}'", "give a 'shapegroup' that holds it")
     group = _group(node, where, f"{props.path}.{key}", context)
     _count(group, props)
-    if group and group[0].grid is not None:
-        return [_place_grid(group[0], props, to_world)]
+    if group and group[0].geometry is not None:
+        return [_place_alone(group[0], props, to_world)]
     return [_copy(prototype, props, to_world) for prototype in group]
 
 
-def _place_grid(grid: ShapeDescription, props: Properties, to_world: np.ndarray) -> ShapeDescription:
-    """Return the grid of signed distances of a group where its only instance has it, under the group's names.
+def _place_alone(shape: ShapeDescription, props: Properties, to_world: np.ndarray) -> ShapeDescription:
+    """Return the shape without triangles of a group where its only instance has it, under the group's names.
 
     Raises:
         ValueError: If the group has another instance.
     """
-    if grid.path in props.context.placed_grids:
-        problem = f"a second 'instance' of a '{SDFGRID}', of whose values there is one set"
-        raise error(props.where, problem, f"give a second '{SDFGRID}', in the scene itself or in a group of its own")
-    props.context.placed_grids.add(grid.path)
-    vertices = transform_points(to_world, CORNERS).astype(np.float32)
-    return dataclasses.replace(grid, vertices=vertices, to_world=to_world.astype(np.float32), instance=props.path)
+    geometry = geometry_of(shape)
+    if shape.path in props.context.placed_shapes:
+        problem = f"a second 'instance' of {geometry.title}, of whose values there is one set"
+        raise error(props.where, problem, f"give a second '{shape.kind}', in the scene itself or in a group of its own")
+    props.context.placed_shapes.add(shape.path)
+    vertices = transform_points(to_world, geometry.corners(to_world)).astype(np.float32)
+    return dataclasses.replace(shape, vertices=vertices, to_world=to_world.astype(np.float32), instance=props.path)
 
 
 def _count(group: list[ShapeDescription], props: Properties) -> None:

@@ -10,7 +10,7 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels import structs
 from warp_psdr.scene.build import Builder
-from warp_psdr.scene.exact import exact_area
+from warp_psdr.scene.kinds.kind import geometry_of
 from warp_psdr.scene.layout import struct_array
 from warp_psdr.scene.light_sampling import build_env_distribution, cumulative, with_guide
 from warp_psdr.scene.spectra import LUMINANCE
@@ -82,7 +82,7 @@ class Lights:
         """Area (1,) of an exact shape that shines."""
         record = self._builder.shapes[e.shape]
         box = points[record.first_vertex : record.first_vertex + record.vertex_count]
-        return np.array([exact_area(self._builder.description.shapes[e.shape].primitive, box)])
+        return np.array([geometry_of(self._builder.description.shapes[e.shape]).area(box)])
 
     def _face_areas(self, record: structs.Emitter | structs.Camera, points: np.ndarray) -> np.ndarray:
         """Areas of the triangles of a light or a meter."""

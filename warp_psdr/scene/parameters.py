@@ -28,18 +28,14 @@ def parameter_of(scene: Scene, name: str) -> Parameter:
         return scene.parameters[name]
     except KeyError:
         base, _dot, kind = str(name).rpartition(".")
-        exact = [s for s in scene.description.shapes if s.primitive and s.path == base]
-        if exact and kind.startswith("vertex_"):
-            if exact[0].grid is not None or exact[0].network is not None or exact[0].curves is not None:
-                values = "grid" if exact[0].curves is None else "control_points"
-                values = values if exact[0].network is None else "layer0.weight"
-                raise KeyError(
-                    f"{base!r} is a {exact[0].kind!r}, which has no vertices: its parameters are '{base}.{values}' and "
-                    f"'{base}.to_world'"
-                ) from None
+        held = [s.geometry for s in scene.description.shapes if s.geometry is not None and s.path == base]
+        if held and kind.startswith("vertex_"):
+            missing, own = f"{base!r} is {held[0].title}, which has no vertices", next(iter(held[0].parameters()), "")
+            if own:
+                raise KeyError(f"{missing}: its parameters are '{base}.{own}' and '{base}.to_world'") from None
             raise KeyError(
-                f"{base!r} is an exact {exact[0].kind!r}, which has no vertices: its parameter is '{base}.to_world'; "
-                f"leave out 'exact' to have it as triangles, with {name!r}"
+                f"{missing}: its parameter is '{base}.to_world'; leave out 'exact' to have it as triangles, with "
+                f"{name!r}"
             ) from None
         close = difflib.get_close_matches(str(name), scene.parameters, n=3, cutoff=0.4)
         all_of_them = "print(params), or 'warp-psdr plan SCENE', lists them all"

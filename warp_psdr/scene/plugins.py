@@ -12,6 +12,7 @@ from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
 
 from .catalogue import INSTEAD, MITSUBA, kind_of
 from .errors import ReportedError, SceneError, did_you_mean, error, listing
+from .kinds.table import KINDS
 from .transforms import FLOAT_MAX, as_matrix
 
 if TYPE_CHECKING:
@@ -21,8 +22,7 @@ if TYPE_CHECKING:
 PLUGINS: dict[str, tuple[str, ...]] = {
     "scene": ("scene",),
     "shape": (
-        *("rectangle", "cube", "sphere", "disk", "cylinder", "sdfgrid", "linearcurve", "bsplinecurve"),
-        *("neuralsdf",),
+        *("rectangle", "cube", *dict.fromkeys(kind.plugin for kind in KINDS)),
         *("obj", "ply", "serialized", "gltf", "glb", "stl", "off", "mesh"),
         *("shapegroup", "instance", "merge"),
     ),

@@ -2,7 +2,7 @@
 
 Vertices lie *on* the surface, so that a sphere, disk or cylinder of ``n`` segments is inscribed: its area and volume
 are smaller, by a relative error of about (pi / n)^2 (0.24 % at the default 64 segments) or less. Lights are widened
-until they have the area of the shape (``widening``). Normals are analytic.
+until they have the area of the shape (``kinds/affine.py``). Normals are analytic.
 Vertices are shared between triangles except along seams of the texture coordinates, where both copies have the same
 position, bit for bit; closed shapes therefore are watertight. Texture coordinates follow Mitsuba:
 
@@ -16,7 +16,6 @@ position, bit for bit; closed shapes therefore are watertight. Texture coordinat
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -109,43 +108,6 @@ def cylinder(resolution: int = DEFAULT_RESOLUTION) -> Tessellation:
     texcoords = np.concatenate([np.stack([turn, np.full(columns, v)], axis=1) for v in (0.0, 1.0)])
     faces = _band(columns, 0, np.arange(resolution))
     return Tessellation(vertices, _int(faces), np.concatenate([normals, normals]), texcoords)
-
-
-#: Plugins whose vertices come from here.
-PRIMITIVES: dict[str, Callable[[int], Tessellation]] = {
-    "rectangle": rectangle,
-    "cube": cube,
-    "sphere": sphere,
-    "disk": disk,
-    "cylinder": cylinder,
-}
-#: Those whose accuracy depends on ``resolution``.
-CURVED = ("sphere", "disk", "cylinder")
-
-
-#: Segments at which the area of a shape is measured; errors of fourth order in their inverse are left.
-_FINE = (128, 256)
-
-
-def widening(kind: str, vertices: np.ndarray, faces: np.ndarray, to_world: np.ndarray) -> np.ndarray:
-    """Return the object-space scale, (3,), at which a curved shape's tessellation has the area of the shape itself.
-
-    A light then keeps its power at the radiance that its scene states. It also keeps the mean of its projected areas, a
-    quarter of the area of a convex body (Cauchy), so that what is far away receives the right irradiance. A cylinder is
-    widened across its axis only.
-
-    Args:
-        kind: One of ``CURVED``.
-        vertices: (N, 3) of the tessellation.
-        faces: (M, 3) of the tessellation.
-        to_world: (4, 4), under which the areas are compared.
-    """
-    coarse, fine = (surface_area(t.vertices, t.faces, to_world) for t in map(PRIMITIVES[kind], _FINE))
-    # Richardson's extrapolation.
-    ratio = (fine + (fine - coarse) / ((_FINE[1] / _FINE[0]) ** 2 - 1.0)) / surface_area(vertices, faces, to_world)
-    if kind == "cylinder":
-        return np.array([ratio, ratio, 1.0])
-    return np.full(3, np.sqrt(ratio))
 
 
 def surface_area(vertices: np.ndarray, faces: np.ndarray, to_world: np.ndarray) -> float:

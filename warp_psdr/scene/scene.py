@@ -21,18 +21,16 @@ from warp_psdr.kernels.structs import Media, Medium
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
-from warp_psdr.scene.curves import Trees
 from warp_psdr.scene.derived_values import sum_of_normals
 from warp_psdr.scene.edits import Edits, State, check_media, has_results, write_parts
-from warp_psdr.scene.exact import update_record
 from warp_psdr.scene.instances import Instances
+from warp_psdr.scene.kinds.kind import Geometry, geometry_of
+from warp_psdr.scene.kinds.records import Followers, update_record
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights import Lights
-from warp_psdr.scene.network import follow_networks
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.pages import flat_values
 from warp_psdr.scene.poses import Poses
-from warp_psdr.scene.sdfgrid import follow_grids
 from warp_psdr.scene.shading import shades_flat
 from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary, tables
@@ -136,7 +134,7 @@ class Scene:
             begin(self)
         compiler.begin(self.accelerator.kernels(), self.device)
         self.poses.apply_all()
-        self._trees = Trees(self)
+        self._followers = Followers(self)
         self._update_triangles(range(len(description.shapes)))
         self.accelerator.rebuild()
         self._shades_flat = None
@@ -216,6 +214,10 @@ class Scene:
     def positions(self) -> int:
         """Flat offset of the vertex positions of all shapes."""
         return self.builder.positions
+
+    def geometry(self, shape: int) -> Geometry:
+        """Return the geometry of a shape without triangles, which is given by its number."""
+        return geometry_of(self.description.shapes[shape])
 
     def camera(self, sensor: int | str) -> structs.Camera:
         """Return the camera record of a sensor, which is given by its number or its id.
@@ -350,7 +352,7 @@ class Scene:
         if any(p.uses & {POSITIONS, NORMALS, SHAPE_POSE} for p in changed):
             self._shades_flat = None
         moved = {shape for p in changed if p.uses & {POSITIONS, SHAPE_POSE} for shape in p.owners}
-        moved |= self._trees.follow(changed)
+        moved |= self._followers.move(changed)
         if moved:
             self._update_triangles(sorted(moved))
             self.accelerator.update()
@@ -361,8 +363,7 @@ class Scene:
         values = self.values.numpy()
         check_media(changed, values)
         rebuild([*self.builder.media_followers, *self.builder.volume_poses], changed, self.values, values)
-        follow_grids(self, changed, values)
-        follow_networks(self, changed, values)
+        self._followers.follow(changed)
         first, size = self.lights.environment_data()
         if sky or any(first <= p.offset < first + size for p in changed):
             self.lights.update_environment(values)
@@ -383,7 +384,7 @@ class Scene:
     def _update_triangles(self, shapes: Iterable[int]) -> None:
         for shape in shapes:
             record = self.builder.shapes[shape]
-            if self.description.shapes[shape].primitive:
+            if self.description.shapes[shape].geometry is not None:
                 update_record(self, shape)
                 continue
             mesh = [self.values, self.positions, self.indices, self._face_shape, self._orientation, record.first_face]

@@ -8,22 +8,19 @@ import numpy as np
 
 from . import bsdfs, emitters, media, sensors
 from .context import FileName
-from .curves import INSTEAD as TUBES
-from .curves import curve_shape, is_curves, take_curves
-from .description import Curves, EmitterDescription, Network, SdfGrid, ShapeDescription
+from .description import EmitterDescription, ShapeDescription
 from .errors import ReportedError, error
-from .exact import EXACT, exact_shape, is_exact
+from .kinds.kind import Geometry
+from .kinds.records import shape_of
+from .kinds.table import EXACT, TESSELLATED, kind_of
 from .mesh_files import read_mesh
 from .meshes import MeshData, check, check_flat, drop_flat_triangles, in_place, vertex_normals
 from .mtl_pictures import first_picture
-from .network import INSTEAD as GRIDDED
-from .network import NEURALSDF, read_network
 from .origin import collapses, moved
 from .plugins import Properties
-from .primitives import CURVED, DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION, PRIMITIVES, widening
-from .sdfgrid import INSTEAD, SDFGRID, field_shape, read_grid
+from .primitives import DEFAULT_RESOLUTION, MAX_RESOLUTION, MIN_RESOLUTION
 from .textures import check_attribute
-from .transforms import Transform, transform_normals, transform_points
+from .transforms import transform_normals, transform_points
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -37,6 +34,8 @@ FARTHEST = 1.0e3
 #: Formats whose texture coordinates count v from the bottom (glTF does so after trimesh's reader); the first row of a
 #: bitmap lies at v = 0, so v is flipped unless ``flip_tex_coords`` says otherwise.
 FLIP_TEX_COORDS = ("obj", "gltf", "glb")
+#: Textures that are read by texture coordinates.
+_READ_UV = ("bitmap", "checkerboard")
 
 
 def build(node: dict, where: str, path: str, context: Context) -> ShapeDescription:
@@ -54,9 +53,9 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     """
     props = Properties(node, where, path, context)
     props.ignore("silhouette_sampling_weight", reason="boundary sampling is set up by the integrator")
-    exact = context.attempt(lambda: is_exact(props), False)
+    kind = context.attempt(lambda: kind_of(props), None)
     flip, flat = props.boolean("flip_normals", False), props.boolean("face_normals", False)
-    geometry = context.attempt(lambda: _geometry(props, exact), None)
+    geometry = context.attempt(lambda: _geometry(props, kind), None)
     lights = props.children("emitter")
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
@@ -73,17 +72,14 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
         raise ReportedError(where)
     data, to_world, place = geometry
     to_world = moved(to_world, context.origin)
-    if exact or not isinstance(data, MeshData):
-        shines = emitter is not None and (not exact or emitter.kind != "area")
-        _refuse_beside_exact(props, bsdf, shines, bool(meters), any(sides.values()))
-    if isinstance(data, SdfGrid | Network):
-        shape = field_shape(props, data, to_world, bsdf, INSTEAD if isinstance(data, SdfGrid) else GRIDDED)
-    elif isinstance(data, Curves):
-        shape = curve_shape(props, data, to_world, bsdf)
-    elif exact:
-        shape = exact_shape(props, to_world, bsdf)
-    else:
+    if isinstance(data, MeshData):
         shape = _triangles(props, data, to_world, place, bsdf, emitter, flat)
+    else:
+        shines = emitter is not None and not (data.shines and emitter.kind == "area")
+        _refuse_beside(props, data, bsdf, shines, bool(meters), any(sides.values()))
+        shape = shape_of(props, data, to_world, bsdf)
+        if not data.has_uv:
+            _refuse_textures(props, bsdf, data.instead)
     # A mirrored sphere is inside out in Mitsuba; its other shapes keep their side.
     mirrored_sphere = props.type == "sphere" and bool(np.linalg.det(to_world[:3, :3]) < 0.0)
     shape.flip_normals = flip != mirrored_sphere
@@ -94,7 +90,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     shape.interior, shape.exterior = sides["interior"], sides["exterior"]
     if emitter is not None:
         check_attribute(emitter.radiance, shape.attributes, lights[0][2], 0.0, np.inf, False)
-    has_uv = exact or shape.curves is not None or shape.texcoords is not None
+    has_uv = shape.texcoords is not None if shape.geometry is None else shape.geometry.has_uv
     bsdfs.check_shape(bsdf, shape.attributes, has_uv, where)
     return shape
 
@@ -110,14 +106,14 @@ def _triangles(
 ) -> ShapeDescription:
     """Return the shape that a mesh makes in world space; ``place`` is the mesh's, for messages."""
     check(data, place)
-    if emitter is not None and emitter.kind == "area" and props.type in CURVED:
-        data.vertices = data.vertices * widening(props.type, data.vertices, data.faces, to_world)
+    if emitter is not None and emitter.kind == "area" and props.type in EXACT:
+        data.vertices = data.vertices * EXACT[props.type].widening(data.vertices, data.faces, to_world)
     flat |= data.face_normals and not props.has("face_normals")
     if flat:
         data.normals = None
     shape = _place(props, data, to_world, bsdf, flat=flat)
     shape.attributes = data.attributes
-    if props.type in PRIMITIVES:
+    if props.type in TESSELLATED:
         shape.to_world = to_world.astype(np.float32)
         shape.local_vertices = data.vertices.astype(np.float32)
         shape.local_normals = None if data.normals is None else data.normals.astype(np.float32)
@@ -132,8 +128,8 @@ def _has_pose(to_world: np.ndarray, vertices: np.ndarray) -> bool:
     return float(np.abs(vertices - to_world[:3, 3]).max()) <= FARTHEST * extent
 
 
-def _refuse_beside_exact(
-    props: Properties, bsdf: bsdfs.BsdfDescription, shines: bool, measures: bool, encloses: bool
+def _refuse_beside(
+    props: Properties, geometry: Geometry, bsdf: bsdfs.BsdfDescription, shines: bool, measures: bool, encloses: bool
 ) -> None:
     """Raise for what shapes without triangles do not do yet.
 
@@ -141,7 +137,7 @@ def _refuse_beside_exact(
         ValueError: with what does.
     """
     found = {
-        "an emitter but 'area'" if props.type in EXACT else "an emitter": shines,
+        "an emitter but 'area'" if geometry.shines else "an emitter": shines,
         "a sensor": measures,
         "a medium": encloses,
         "a 'volume' texture": any(
@@ -150,29 +146,38 @@ def _refuse_beside_exact(
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
-        if props.type in (SDFGRID, NEURALSDF) or is_curves(props.type):
-            instead = {SDFGRID: INSTEAD, NEURALSDF: GRIDDED}.get(props.type, TUBES)
-            raise error(props.where, f"{what} on a '{props.type}'", instead)
-        problem = f"{what} on an exact '{props.type}'"
-        raise error(props.where, problem, "leave out 'exact': the tessellated shape takes it")
+        raise error(props.where, f"{what} on {geometry.title}", geometry.instead)
 
 
-def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Network | Curves, np.ndarray, str]:
+def _refuse_textures(props: Properties, bsdf: bsdfs.BsdfDescription, instead: str) -> None:
+    """Raise for a material that reads texture coordinates, which there are none of.
+
+    Raises:
+        ValueError: with ``instead``.
+    """
+    for side in bsdf.sides:
+        for name, texture in side.textures.items():
+            if texture.kind in _READ_UV:
+                problem = f"a '{texture.kind}' for '{name}' on a '{props.type}', which has no texture coordinates"
+                raise error(props.where, problem, f"give a number or a colour, or {instead}")
+        if any(side.textures.get(u) is not side.textures.get(v) for u, v in bsdfs.model_of(side).axes):
+            problem = f"two roughnesses on a '{props.type}', which has no texture coordinates to align them with"
+            raise error(props.where, problem, "give one 'alpha'")
+
+
+def _geometry(props: Properties, kind: type[Geometry] | None) -> tuple[MeshData | Geometry, np.ndarray, str]:
     """Return the object-space geometry, the transformation to world space, and the mesh's place for messages."""
     to_world = props.transform("to_world")
-    if props.type == SDFGRID:
-        return read_grid(props), to_world, props.where
-    if props.type == NEURALSDF:
-        return read_network(props), to_world, props.where
-    if is_curves(props.type):
-        return take_curves(props), to_world, props.where
-    if props.type in PRIMITIVES:
-        resolution = MIN_RESOLUTION if exact else DEFAULT_RESOLUTION
-        if props.type in CURVED and not exact:
+    if kind is not None:
+        return *kind.read(props, to_world), props.where
+    if props.type in TESSELLATED:
+        resolution, frame = DEFAULT_RESOLUTION, np.eye(4)
+        if props.type in EXACT:
             resolution = props.integer("resolution", DEFAULT_RESOLUTION, minimum=MIN_RESOLUTION, maximum=MAX_RESOLUTION)
-        source = PRIMITIVES[props.type](resolution)
+            frame = EXACT[props.type].frame(props)
+        source = TESSELLATED[props.type](resolution)
         data = MeshData(source.vertices, source.faces, source.normals, source.texcoords)
-        return data, to_world @ _local_frame(props), props.where
+        return data, to_world @ frame, props.where
     if props.type == "mesh":
         return in_place(props), to_world, props.where
     name = props.take("filename")
@@ -195,46 +200,13 @@ def _geometry(props: Properties, exact: bool) -> tuple[MeshData | SdfGrid | Netw
     return data, to_world, place
 
 
-def _local_frame(props: Properties) -> np.ndarray:
-    """Return the matrix of a sphere's ``center`` and ``radius`` or a cylinder's ``p0``, ``p1`` and ``radius``."""
-    if props.type == "sphere":
-        center = props.vector("center", (0.0, 0.0, 0.0))
-        radius = props.number("radius", 1.0, minimum=0.0, exclusive=True)
-        return Transform.translate(center).scale(radius).matrix
-    if props.type == "cylinder":
-        p0, p1 = props.vector("p0", (0.0, 0.0, 0.0)), props.vector("p1", (0.0, 0.0, 1.0))
-        radius = props.number("radius", 1.0, minimum=0.0, exclusive=True)
-        length = float(np.linalg.norm(p1 - p0))
-        if length == 0.0:
-            raise error(props.where, f"p0 and p1 are both {p0.tolist()}", "give the two ends of the cylinder's axis")
-        frame = np.eye(4)
-        frame[:3, 0], frame[:3, 1] = _tangents((p1 - p0) / length)
-        frame[:3, 2] = (p1 - p0) / length
-        return Transform.translate(p0).matrix @ frame @ np.diag([radius, radius, length, 1.0])
-    return np.eye(4)
-
-
-def _tangents(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return two unit vectors that make a right-handed frame with ``n``, the same ones as in Mitsuba.
-
-    T. Duff et al., "Building an orthonormal basis, revisited", JCGT 6(1), 2017.
-    """
-    sign = np.copysign(1.0, n[2])
-    a = -1.0 / (sign + n[2])
-    b = n[0] * n[1] * a
-    return (
-        np.array([1.0 + sign * n[0] ** 2 * a, sign * b, -sign * n[0]]),
-        np.array([b, sign + n[1] ** 2 * a, -n[1]]),
-    )
-
-
 def _place(
     props: Properties, data: MeshData, to_world: np.ndarray, bsdf: bsdfs.BsdfDescription, *, flat: bool
 ) -> ShapeDescription:
     """Move the mesh to world space, repair it and give it its normals."""
     repairs: dict[str, int] = {}
     normals = data.normals
-    if (normals is not None or props.type in PRIMITIVES) and np.linalg.det(to_world[:3, :3]) < 0.0:
+    if (normals is not None or props.type in TESSELLATED) and np.linalg.det(to_world[:3, :3]) < 0.0:
         # Mirroring turns the triangles over but not the given normals; turn the triangles back to agree with them.
         data.faces = data.faces[:, ::-1]
     data.faces = np.ascontiguousarray(data.faces, dtype=np.int32)

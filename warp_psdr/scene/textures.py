@@ -15,10 +15,9 @@ from warp_psdr.image_io import read_image, srgb_to_linear
 
 from .description import TextureDescription
 from .errors import ReportedError, SceneError, error
-from .exact import singular
 from .plugins import Properties, category_of
 from .spectra import COLOR_TYPES, LUMINANCE, check_range, color
-from .transforms import as_matrix
+from .transforms import as_matrix, singular
 from .volumes import volume
 
 if TYPE_CHECKING:

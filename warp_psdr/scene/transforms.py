@@ -14,6 +14,8 @@ from .errors import SceneError
 
 #: Numbers are 32-bit on the device.
 FLOAT_MAX = float(np.finfo(np.float32).max)
+#: Volume of a pose over the product of the lengths of its columns, up to which it has no inverse in float32.
+FLAT = 1.0e-6
 
 
 class _Chained(staticmethod):
@@ -141,6 +143,17 @@ def as_matrix(value: Any) -> np.ndarray:
             "so it must be [0, 0, 0, 1]"
         )
     return matrix
+
+
+def singular(to_world: np.ndarray) -> str:
+    """Return what is wrong with a pose (4, 4); empty: nothing."""
+    linear = np.asarray(to_world, np.float64)[:3, :3]
+    if not np.isfinite(to_world).all():
+        return f"its to_world is not finite: {np.asarray(to_world).tolist()}"
+    lengths = np.linalg.norm(linear, axis=0)
+    if not (lengths > 0.0).all() or abs(np.linalg.det(linear / np.maximum(lengths, 1e-300))) <= FLAT:
+        return f"its to_world has no inverse: {np.asarray(to_world).tolist()}"
+    return ""
 
 
 def transform_points(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from .exact import singular
+from .transforms import singular
 
 if TYPE_CHECKING:
     from .description import ShapeDescription

@@ -211,7 +211,7 @@ def touched(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
     corners = scene.points[b.indices].astype(np.float64)
     for i in exact_shapes(scene):
         hit = pierced_faces(scene, i, shapes)
-        field, kind = exact_field(scene, i), scene.description.shapes[i].primitive
+        field, kind = exact_field(scene, i), scene.geometry(i).name
         for j in np.unique(b.face_shape[hit]):
             rows = hit[b.face_shape[hit] == j]
             chords = cut(field, corners[rows], rows)

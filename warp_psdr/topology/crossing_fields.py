@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.kinds.sdfgrid import is_passed
 from warp_psdr.topology.exact_shapes import TOUCHING, pose
 from warp_psdr.topology.grid_contacts import TOUCHING as TOUCHING_GRID
 from warp_psdr.topology.grid_contacts import interpolated, spline_interpolated
@@ -59,7 +59,7 @@ class Field:
 
 def exact_field(scene: Scene, shape: int) -> Field:
     """Return an exact shape as a field."""
-    kind = scene.description.shapes[shape].primitive
+    kind = scene.geometry(shape).name
     phi, near, ends, sides = EXACT_FIELDS[kind]
     standing = joined_rims(scene).standing(shape)
     if standing:

@@ -81,7 +81,7 @@ def exact_pairs(scene: Scene, shapes: frozenset[int] | None) -> Iterator[tuple[i
 def cut_pair(scene: Scene, i: int, j: int) -> Chords:
     """Return the chords of the curves of two exact shapes; ``faces`` holds the number of the first one's record."""
     field, other = exact_field(scene, j), exact_field(scene, i)
-    kind = scene.description.shapes[i].primitive
+    kind = scene.geometry(i).name
     inverse, theirs = np.linalg.inv(other.linear), np.linalg.inv(field.linear)
     stretch = float(np.linalg.norm(theirs, 2))
 
@@ -115,7 +115,7 @@ def cut_pair(scene: Scene, i: int, j: int) -> Chords:
 
 def _least_radius(scene: Scene, shape: int) -> float:
     linear, _origin = pose(scene, shape)
-    bent = linear if scene.description.shapes[shape].primitive == "sphere" else linear[:, :2]
+    bent = linear if scene.geometry(shape).name == "sphere" else linear[:, :2]
     return float(np.linalg.svd(bent, compute_uv=False).min())
 
 
@@ -141,7 +141,7 @@ def _slopes(field: Field, points: np.ndarray) -> np.ndarray:
 
 def _rim_runs_along(scene: Scene, i: int, j: int) -> bool:
     """Whether a rim of an exact shape runs along another one, on which it does not stand."""
-    kinds = [scene.description.shapes[k].primitive for k in (i, j)]
+    kinds = [scene.geometry(k).name for k in (i, j)]
     if kinds[0] == "sphere":
         return False
     ends = {0} if kinds[0] == "disk" else {0, 1} - joined_rims(scene).standing(i, j)

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.exact import EXACT
 from warp_psdr.scene.primitives import cylinder, disk, sphere
 from warp_psdr.topology.camera_view import camera_view
 
@@ -46,13 +45,13 @@ def crossed_faces(scene: Scene, shape: int, shapes: frozenset[int] | None) -> np
     rows = np.arange(len(corners))
     if shapes is not None and shape not in shapes:
         rows = np.flatnonzero(np.isin(scene.builder.face_shape, sorted(shapes)))
-    crosses = CROSSED[scene.description.shapes[shape].primitive]
+    crosses = CROSSED[scene.geometry(shape).name]
     return rows[crosses((corners[rows] - center) @ np.linalg.inv(linear).T)]
 
 
 def exact_shapes(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are exact."""
-    return [i for i in scene.builder.primitives if scene.description.shapes[i].primitive in EXACT]
+    return [i for i in scene.builder.primitives if scene.geometry(i).is_material]
 
 
 def runs_through(scene: Scene, i: int, j: int) -> bool:
@@ -62,7 +61,7 @@ def runs_through(scene: Scene, i: int, j: int) -> bool:
     that keep to them within ``TOUCHING``. What touches a sphere is none that runs through it; what touches a disk or a
     cylinder counts as one.
     """
-    kinds = [scene.description.shapes[k].primitive for k in (i, j)]
+    kinds = [scene.geometry(k).name for k in (i, j)]
     if kinds[1] == "sphere" and kinds[0] != "sphere":
         i, j, kinds = j, i, kinds[::-1]
     linear, center = pose(scene, i)
@@ -110,7 +109,7 @@ def with_exact_shapes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     corners, owners = [scene.points[scene.builder.indices].astype(np.float64)], [scene.builder.face_shape]
     for i in exact_shapes(scene):
         linear, center = pose(scene, i)
-        corners.append(TRIANGLES[scene.description.shapes[i].primitive] @ linear.T + center)
+        corners.append(TRIANGLES[scene.geometry(i).name] @ linear.T + center)
         owners.append(np.full(len(corners[-1]), i))
     return np.concatenate(corners), np.concatenate(owners)
 
@@ -201,7 +200,7 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
     for i in exact_shapes(scene):
         if shapes is not None and i not in shapes:
             continue
-        kind = scene.description.shapes[i].primitive
+        kind = scene.geometry(i).name
         linear, center = pose(scene, i)
         middle, half = float(view.depth(center)), axis @ linear
         if kind == "cylinder":

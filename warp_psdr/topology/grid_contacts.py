@@ -9,9 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.network import network_and_cells
-from warp_psdr.scene.network_bounds import values_of
-from warp_psdr.scene.sdfgrid import CORNERS, is_passed, spline_values
+from warp_psdr.scene.kinds.network_bounds import values_of
+from warp_psdr.scene.kinds.neuralsdf import Network, network_and_cells
+from warp_psdr.scene.kinds.sdfgrid import is_passed, spline_values
+from warp_psdr.scene.kinds.zero_set import CORNERS
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
@@ -64,7 +65,7 @@ def passed_by(scene: Scene, shape: int) -> Passed:
 
 
 def _passed_by(scene: Scene, shape: int) -> Passed:
-    if scene.description.shapes[shape].network is not None:
+    if isinstance(scene.geometry(shape), Network):
         network, found = network_and_cells(scene, shape)
         at, n = passed_cells(found), float(network.count)
         slopes = np.linalg.norm(values_of(network, (at + 0.5) / n)[1], axis=1)
@@ -117,7 +118,7 @@ def pierced_grid(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int]
         ).all(axis=1)
         if shapes is not None and i not in shapes:
             near &= np.isin(owners, sorted(shapes))
-        if scene.description.shapes[i].network is None:
+        if not isinstance(scene.geometry(i), Network):
             near[: scene.face_count] = False  # meshes: ``crossing_curves.py``
         for row in np.flatnonzero(near):
             if _runs_through(own, local[row]):
@@ -226,7 +227,7 @@ def require_uncut_grids(scene: Scene, sensor: int, shapes: list[int]) -> None:
         depth = view.depth(ends @ linear.T + origin)
         for plane in view.clip_depths():
             if depth.min() < plane < depth.max():
-                kind = "grid" if scene.description.shapes[i].network is None else "network"
+                kind = "network" if isinstance(scene.geometry(i), Network) else "grid"
                 raise ValueError(
                     f"a clip plane of sensor {sensor} runs through the box around the surface of the {kind} "
                     f"{scene.description.shapes[i].path!r}, and the derivative of a border that it cuts is not "

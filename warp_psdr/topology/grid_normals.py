@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.kinds.sdfgrid import SdfGrid, is_passed
 from warp_psdr.topology.exact_shapes import pose
 from warp_psdr.topology.grid_silhouettes import (
     VOXEL,
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
 
 def interpolated_grids(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are grids with interpolated normals."""
-    found = [(i, scene.description.shapes[i].grid) for i in grid_shapes(scene, False)]
-    return [i for i, grid in found if grid is not None and grid.smooth]
+    found = [(i, scene.geometry(i)) for i in grid_shapes(scene, False)]
+    return [i for i, grid in found if isinstance(grid, SdfGrid) and grid.smooth]
 
 
 def may_turn(values: np.ndarray, nodes: np.ndarray, low: np.ndarray, high: np.ndarray, distant: bool) -> np.ndarray:

@@ -18,7 +18,7 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.silhouette.grid_points import VOXEL_ITEM, GridItems
-from warp_psdr.scene.sdfgrid import bezier_values, is_passed, spline_values
+from warp_psdr.scene.kinds.sdfgrid import SdfGrid, bezier_values, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.exact_shapes import pose
 from warp_psdr.topology.unchanged import kept
@@ -48,13 +48,13 @@ def grid_values(scene: Scene, shape: int) -> np.ndarray:
 
 def is_smooth_grid(scene: Scene, shape: int) -> bool:
     """Return whether a shape is a grid whose interpolation is cubic."""
-    grid = scene.description.shapes[shape].grid
-    return grid is not None and grid.cubic
+    grid = scene.description.shapes[shape].geometry
+    return isinstance(grid, SdfGrid) and grid.cubic
 
 
 def grid_shapes(scene: Scene, cubic: bool | None = None) -> list[int]:
     """Return the numbers of the shapes that are grids, of one interpolation or (None) of both."""
-    found = [i for i in scene.builder.primitives if scene.description.shapes[i].grid is not None]
+    found = [i for i in scene.builder.primitives if isinstance(scene.geometry(i), SdfGrid)]
     return [i for i in found if cubic is None or is_smooth_grid(scene, i) == cubic]
 
 

@@ -18,9 +18,6 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
-from warp_psdr.kernels.primitive.cylinder import CYLINDER
-from warp_psdr.kernels.primitive.table import affine_of
-from warp_psdr.scene.exact import KINDS
 from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
 if TYPE_CHECKING:
@@ -72,7 +69,7 @@ def rim(scene: Scene, shape: int, end: int = 0, widened: float = 1.0) -> np.ndar
 
 def joined_rims(scene: Scene) -> JoinedRims:
     """Return the rims of a scene that join, as its shapes stand; kept until one of them moves."""
-    kind = {i: scene.description.shapes[i].primitive for i in exact_shapes(scene)}
+    kind = {i: scene.geometry(i).name for i in exact_shapes(scene)}
     cylinders = [i for i in kind if kind[i] == "cylinder"]
     disks = [i for i in kind if kind[i] == "disk"]
     if not cylinders:
@@ -141,14 +138,13 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
     for i, face in record.items():
         if shapes is not None and i not in shapes:
             continue
-        kind = KINDS[scene.description.shapes[i].primitive]
-        affine = affine_of((kind,)).get(kind)
+        affine = scene.geometry(i).device.affine
         if affine is None:
             continue
         if affine.outline is not None:
             ends = {e: record[d] for d, c, e in joined.caps if c == i}
             found.append((face, (ends.get(0, -1), ends.get(1, -1)), -1))
-        closed = joined.closed(i) if kind == CYLINDER.number else set()
+        closed = joined.closed(i) if scene.geometry(i).name == "cylinder" else set()
         if affine.rim is not None and len(closed) < 2 and i not in dict(joined.buried):
             neighbour = next((record[c] for d, c, _end in joined.caps if d == i), -1)
             found.append((-1 - face, (neighbour, -1), next(iter(closed), -1)))

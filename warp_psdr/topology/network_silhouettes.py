@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.scene.description import Network
-from warp_psdr.scene.network import network_and_cells
-from warp_psdr.scene.network_bounds import OFFSETS, bounds_of, in_parts, single
+from warp_psdr.scene.kinds.network_bounds import OFFSETS, bounds_of, in_parts, single
+from warp_psdr.scene.kinds.neuralsdf import Network, network_and_cells
 from warp_psdr.topology.exact_shapes import pose
 from warp_psdr.topology.grid_silhouettes import VOXEL, Eyes, copied, gathered, named
 from warp_psdr.topology.unchanged import kept
@@ -29,7 +28,7 @@ ROUNDING, SQUARES = 1.0e-5, 4
 
 def network_shapes(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are networks."""
-    return [i for i in scene.builder.primitives if scene.description.shapes[i].network is not None]
+    return [i for i in scene.builder.primitives if isinstance(scene.geometry(i), Network)]
 
 
 def passed_cells(cells: np.ndarray) -> np.ndarray:

@@ -14,8 +14,9 @@ import warp as wp
 
 from warp_psdr.device import launch
 from warp_psdr.kernels.primitive.curves_overlap import FINER, find_overlaps, find_pierced
-from warp_psdr.scene.curve_points import coefficients, world_points
-from warp_psdr.scene.sdfgrid import is_passed
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
+from warp_psdr.scene.kinds.curve import Curves, world_points
+from warp_psdr.scene.kinds.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
@@ -55,8 +56,8 @@ def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int
 
 def _overlap(scene: Scene, shape: int, other: int) -> bool:
     """Whether curves of a shape run through those of another, or through each other."""
-    curves = scene.description.shapes[shape].curves
-    assert curves is not None
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
     records = [scene.face_count + scene.builder.primitives.index(i) for i in (shape, other)]
     found = wp.zeros(1, dtype=wp.int32, device=scene.device)
     launch(find_overlaps, len(curves.firsts), [scene.data(), *records], [found], device=scene.device)
@@ -91,8 +92,8 @@ def pierced_segments(scene: Scene, shape: int, corners: np.ndarray, nearly: bool
 
 def _cones(scene: Scene, shape: int) -> np.ndarray:
     """Return cones (N, 2, 4) along curves."""
-    curves = scene.description.shapes[shape].curves
-    assert curves is not None
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
     points = world_points(scene, shape)
     count = FINER * curves.pieces if curves.cubic else 1
     if curves.cubic:

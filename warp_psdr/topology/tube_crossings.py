@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.curve_points import coefficients, world_points
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
+from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.topology.crossing_curves import Chords, cut
 from warp_psdr.topology.crossing_fields import Field
 from warp_psdr.topology.exact_shapes import least_distance
@@ -265,8 +266,8 @@ def cut_tubes(scene: Scene, shape: int, shapes: frozenset[int] | None) -> tuple[
 
 def _cut(scene: Scene, shape: int, points: np.ndarray, pairs: np.ndarray) -> tuple[Chords, np.ndarray, np.ndarray]:
     """Return what ``cut_tubes`` does, of control points in the world (N, 4) and pairs (P, 2)."""
-    curves = scene.description.shapes[shape].curves
-    assert curves is not None
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
     found, segments, places = [], [], []
     for start in range(0, max(len(pairs), 1), PAIRS):
         faces, numbers = pairs[start : start + PAIRS].T
@@ -292,8 +293,8 @@ def resting_end(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] 
     """Return curves with an open end that lies along a mesh, and the mesh, one among ``shapes`` (None: any)."""
     angle = 2.0 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     for i in curve_shapes(scene):
-        curves = scene.description.shapes[i].curves
-        assert curves is not None
+        curves = scene.geometry(i)
+        assert isinstance(curves, Curves)
         if not curves.cubic:
             continue
         pairs, points = _pairs(scene, i, shapes), world_points(scene, i)

@@ -8,7 +8,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.tube_points import TubeItems
-from warp_psdr.scene.curve_points import coefficients, world_points
+from warp_psdr.scene.kinds.bsplinecurve import coefficients
+from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ STRAIGHT = 1.0e-5
 
 def curve_shapes(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are curves."""
-    return list(scene.builder.curves)
+    return [i for i in scene.builder.primitives if isinstance(scene.geometry(i), Curves)]
 
 
 def follows(firsts: np.ndarray) -> np.ndarray:
@@ -89,8 +90,8 @@ def tube_items(scene: Scene, shapes: list[int], creases: bool) -> TubeItems | No
 def _tube_items(scene: Scene, shapes: list[int], creases: bool) -> TubeItems | None:
     pairs, sizes = [], []
     for shape in shapes:
-        curves = scene.description.shapes[shape].curves
-        assert curves is not None
+        curves = scene.geometry(shape)
+        assert isinstance(curves, Curves)
         numbers, lengths = items_of(world_points(scene, shape), curves.firsts, curves.cubic, creases)
         record = scene.face_count + scene.builder.primitives.index(shape)
         pairs.append(np.stack([np.full(len(numbers), record), numbers], axis=1))

@@ -8,16 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import partial, singledispatch
 from typing import Any
 
 import numpy as np
 
 from warp_psdr import sdf
 from warp_psdr.plots import as_array
-from warp_psdr.scene import primitives
-from warp_psdr.scene.description import Network, ShapeDescription
-from warp_psdr.scene.network_bounds import values_of
+from warp_psdr.scene.description import ShapeDescription
+from warp_psdr.scene.kinds.affine import Exact
+from warp_psdr.scene.kinds.curve import Curves
+from warp_psdr.scene.kinds.kind import Geometry, geometry_of
+from warp_psdr.scene.kinds.network_bounds import values_of
+from warp_psdr.scene.kinds.neuralsdf import Network
+from warp_psdr.scene.kinds.sdfgrid import SdfGrid
 from warp_psdr.topology.grid_contacts import interpolated
 from warp_psdr.view.fields import Field, vertex_normals
 from warp_psdr.view.tubes import tube_field, tube_mesh
@@ -28,7 +32,6 @@ Surface = tuple[np.ndarray, np.ndarray, np.ndarray | None]
 SIDES = 64
 #: Step of differences by the weights of networks, over the largest of them.
 DIFFERENCE = 1.0e-5
-_EXACT = {"sphere": primitives.sphere, "disk": primitives.disk, "cylinder": primitives.cylinder}
 
 
 def value_now(values: Mapping[str, Any], name: str, default: Any) -> Any:
@@ -42,10 +45,10 @@ def pose_now(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
     return as_array(value_now(values, name, shape.to_world)).reshape(4, 4).astype(np.float64)
 
 
-def control_points(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
-    """Return the control points (P, 4) of curves, in their own coordinates."""
-    assert shape.curves is not None
-    return as_array(value_now(values, f"{shape.path}.control_points", shape.curves.points)).reshape(-1, 4)
+def own_now(values: Mapping[str, Any], shape: ShapeDescription) -> dict[str, np.ndarray]:
+    """Return the current values of the parameters of a shape without triangles, by their names behind its path."""
+    held = geometry_of(shape).parameters()
+    return {name: value_now(values, f"{shape.path}.{name}", v).reshape(v.shape) for name, v in held.items()}
 
 
 def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> Surface:
@@ -58,17 +61,8 @@ def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> Surface:
         values: current values of parameters, which stand in for the description's.
         shape: of any kind.
     """
-    if shape.curves is not None:
-        vertices, faces, _out = tube_mesh(shape.curves, control_points(values, shape), pose_now(values, shape))
-        return vertices, faces, None
-    if shape.grid is not None:
-        return *_zero_set(grid_values(values, shape), values, shape, shape.grid.cubic), None
-    if shape.network is not None:
-        return *_zero_set(network_values(values, shape), values, shape, False), None
-    if shape.primitive in _EXACT:
-        made, pose = _EXACT[shape.primitive](SIDES), pose_now(values, shape)
-        faces = made.faces[:, ::-1] if np.linalg.det(pose[:3, :3]) < 0.0 else made.faces
-        return made.vertices @ pose[:3, :3].T + pose[:3, 3], faces, made.texcoords
+    if shape.geometry is not None:
+        return _drawn(shape.geometry, own_now(values, shape), pose_now(values, shape))
     if shape.prototype is None:
         vertices = as_array(value_now(values, f"{shape.path}.vertex_positions", shape.vertices)).reshape(-1, 3)
         return vertices, shape.faces, shape.texcoords
@@ -77,40 +71,41 @@ def surface_of(values: Mapping[str, Any], shape: ShapeDescription) -> Surface:
     return local @ pose[:3, :3].T + pose[:3, 3], shape.faces, shape.texcoords
 
 
-def grid_values(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
-    """Return the values (Z, Y, X) of a grid."""
-    assert shape.grid is not None
-    return as_array(value_now(values, f"{shape.path}.grid", shape.grid.values)).reshape(shape.grid.values.shape[:3])
+@singledispatch
+def _drawn(geometry: Geometry, own: Mapping[str, np.ndarray], pose: np.ndarray) -> Surface:
+    """Return the surface of a shape without triangles, with the current values of its own parameters."""
+    raise NotImplementedError(f"{geometry.title} is not drawn")
 
 
-def network_values(values: Mapping[str, Any], shape: ShapeDescription) -> np.ndarray:
+@_drawn.register
+def _(geometry: Exact, own: Mapping[str, np.ndarray], pose: np.ndarray) -> Surface:
+    made = geometry.tessellate(SIDES)
+    faces = made.faces[:, ::-1] if np.linalg.det(pose[:3, :3]) < 0.0 else made.faces
+    return made.vertices @ pose[:3, :3].T + pose[:3, 3], faces, made.texcoords
+
+
+@_drawn.register
+def _(geometry: SdfGrid, own: Mapping[str, np.ndarray], pose: np.ndarray) -> Surface:
+    return *sdf.to_mesh(own["grid"][..., 0], pose, geometry.cubic, device="cpu"), None
+
+
+@_drawn.register
+def _(geometry: Network, own: Mapping[str, np.ndarray], pose: np.ndarray) -> Surface:
+    return *sdf.to_mesh(network_values(geometry.with_parameters(own)), pose, False, device="cpu"), None
+
+
+@_drawn.register
+def _(geometry: Curves, own: Mapping[str, np.ndarray], pose: np.ndarray) -> Surface:
+    vertices, faces, _out = tube_mesh(geometry, own["control_points"], pose)
+    return vertices, faces, None
+
+
+def network_values(network: Network) -> np.ndarray:
     """Return the values (Z, Y, X) of a network at the corners of its cells."""
-    network = shape.network
-    assert isinstance(network, Network)
     at = np.linspace(0.0, 1.0, network.count + 1)
     q = np.stack(np.meshgrid(at, at, at, indexing="ij")[::-1], axis=-1)
-    found, _slopes = values_of(_network_now(values, shape), q.reshape(-1, 3))
+    found, _slopes = values_of(network, q.reshape(-1, 3))
     return found.reshape(q.shape[:3])
-
-
-def _network_now(values: Mapping[str, Any], shape: ShapeDescription) -> Network:
-    """Return a network with its current layers, float64."""
-    network = shape.network
-    assert isinstance(network, Network)
-    layers = []
-    for n, (weight, bias) in enumerate(network.layers):
-        w, b = (
-            as_array(value_now(values, f"{shape.path}.layer{n}.{what}", held)).reshape(held.shape).astype(np.float64)
-            for what, held in (("weight", weight), ("bias", bias))
-        )
-        layers.append((w, b))
-    return replace(network, layers=layers)
-
-
-def _zero_set(
-    nodes: np.ndarray, values: Mapping[str, Any], shape: ShapeDescription, cubic: bool
-) -> tuple[np.ndarray, np.ndarray]:
-    return sdf.to_mesh(nodes, pose_now(values, shape), cubic, device="cpu")
 
 
 def grid_field(
@@ -160,7 +155,7 @@ def pose_field(
 
 
 def network_field(
-    surface: Surface, values: Mapping[str, Any], shape: ShapeDescription, name: str, gradient: np.ndarray
+    surface: Surface, network: Network, pose: np.ndarray, name: str, gradient: np.ndarray
 ) -> tuple[Field, None, np.ndarray]:
     """Return how a step along a gradient by the weights or the bias of one layer moves the surface of a network.
 
@@ -168,19 +163,18 @@ def network_field(
 
     Args:
         surface: of the network, as ``surface_of`` has it.
-        values: current values of parameters.
-        shape: the network's.
-        name: of the parameter.
+        network: with its current layers.
+        pose: the network's, (4, 4).
+        name: of the parameter, behind the path.
         gradient: by it, of its shape.
 
     Returns:
         The field, no vectors, and the normals (N, 3) at its vertices.
     """
     vertices, faces, _texcoords = surface
-    network, pose = _network_now(values, shape), pose_now(values, shape)
     to_box = np.linalg.inv(pose[:3, :3])
     q = (vertices - pose[:3, 3]) @ to_box.T
-    layer, _, what = name.removeprefix(f"{shape.path}.layer").partition(".")
+    layer, _, what = name.removeprefix("layer").partition(".")
     number, part = int(layer), ("weight", "bias").index(what)
     held = network.layers[number][part]
     step = DIFFERENCE * max(1.0, float(np.abs(held).max())) / max(float(np.abs(gradient).max()), 1e-300)
@@ -215,19 +209,38 @@ def own_fields(
     if shape.to_world is not None:
         name = f"{shape.instance or shape.path}.to_world"
         found[name] = (4, 4), lambda g: pose_field(vertices, faces, pose, g)
-    if shape.curves is not None:
-        curves, points = shape.curves, control_points(values, shape)
-        found[f"{shape.path}.control_points"] = curves.points.shape, lambda g: tube_field(curves, points, pose, g)
-    if shape.grid is not None:
-
-        def on_grid(g: np.ndarray) -> tuple[Field, None, np.ndarray]:
-            field, normals = grid_field(vertices, faces, pose, g)
-            return field, None, normals
-
-        found[f"{shape.path}.grid"] = grid_values(values, shape).shape, on_grid
-    if shape.network is not None:
-        for n, layer in enumerate(shape.network.layers):
-            for what, held in zip(("weight", "bias"), layer, strict=True):
-                name = f"{shape.path}.layer{n}.{what}"
-                found[name] = held.shape, partial(network_field, surface, values, shape, name)
+    if shape.geometry is not None:
+        fields = _own_fields(shape.geometry, own_now(values, shape), pose, surface)
+        found |= {f"{shape.path}.{name}": field for name, field in fields.items()}
     return found
+
+
+@singledispatch
+def _own_fields(
+    geometry: Geometry, own: Mapping[str, np.ndarray], pose: np.ndarray, surface: Surface
+) -> dict[str, tuple[tuple[int, ...], Callable]]:
+    """Return what ``own_fields`` does, of the parameters beside the pose, by their names behind the path."""
+    return {}
+
+
+@_own_fields.register
+def _(geometry: SdfGrid, own: Mapping[str, np.ndarray], pose: np.ndarray, surface: Surface):
+    vertices, faces, _texcoords = surface
+
+    def on_grid(g: np.ndarray) -> tuple[Field, None, np.ndarray]:
+        field, normals = grid_field(vertices, faces, pose, g)
+        return field, None, normals
+
+    return {"grid": (own["grid"].shape[:3], on_grid)}
+
+
+@_own_fields.register
+def _(geometry: Network, own: Mapping[str, np.ndarray], pose: np.ndarray, surface: Surface):
+    network = geometry.with_parameters(own)
+    return {name: (held.shape, partial(network_field, surface, network, pose, name)) for name, held in own.items()}
+
+
+@_own_fields.register
+def _(geometry: Curves, own: Mapping[str, np.ndarray], pose: np.ndarray, surface: Surface):
+    points = own["control_points"]
+    return {"control_points": (points.shape, lambda g: tube_field(geometry, points, pose, g))}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from warp_psdr.scene.description import Curves
+from warp_psdr.scene.kinds.curve import Curves
 from warp_psdr.view.fields import Field
 
 #: Rings of a segment beside the first one, cubic and straight, and corners of a ring.

@@ -22,7 +22,7 @@ from warp_psdr.kernels.invalid import COUNTER_SIZE
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.transient import require_steady
-from warp_psdr.scene.exact import position_of
+from warp_psdr.scene.kinds.records import position_of
 
 if TYPE_CHECKING:
     from warp_psdr.plan.plan import Plan
@@ -188,7 +188,7 @@ def _place(scene: Scene, edges, row: np.ndarray) -> TracedPlace:
     shape = scene.description.shapes[index]
     if what != "edge":
         position = position_of(scene, tri, u, v) + scene.origin
-    if shape.primitive:
+    if shape.geometry is not None:
         faces = ()
     ends = tuple(i - scene.builder.shapes[index].first_vertex for i in ends)
     return TracedPlace(what, shape.path, shape.bsdf.model, faces, ends, position, vectors[1], vectors[2:])

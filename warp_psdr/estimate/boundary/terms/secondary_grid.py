@@ -16,6 +16,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.scene.kinds.zero_set import ZeroSet
 from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, light_eyes, only
 
 if TYPE_CHECKING:
@@ -72,11 +73,9 @@ def _listed(scene: Scene, found: GridItems) -> dict[str, Listing]:
 
 def _nodes(scene: Scene, shape: int) -> tuple[int, int]:
     """Return the numbers of nodes of a grid, or of a network's cells, along x and y."""
-    grid, network = scene.description.shapes[shape].grid, scene.description.shapes[shape].network
-    if grid is not None:
-        return grid.values.shape[2], grid.values.shape[1]
-    assert network is not None
-    return network.count + 1, network.count + 1
+    geometry = scene.geometry(shape)
+    assert isinstance(geometry, ZeroSet)
+    return geometry.nodes[0], geometry.nodes[1]
 
 
 def launch(r: Request) -> Term | None:

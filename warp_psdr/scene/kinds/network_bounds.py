@@ -11,13 +11,15 @@ Derivation: ``docs/theory/implicit.md#networks``.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from warp_psdr.kernels.primitive.network import LEVEL
 
-from .description import Network
+if TYPE_CHECKING:
+    from warp_psdr.scene.kinds.neuralsdf import Network
 
 #: Cells along an axis of the coarsest grid, which are halved where the surface may pass.
 COARSEST = 8
@@ -164,7 +166,7 @@ def _along(rates: np.ndarray, half: np.ndarray) -> np.ndarray:
 def single(network: Network) -> Network:
     """Return a network whose numbers are float32."""
     layers = [(w.astype(np.float32), b.astype(np.float32)) for w, b in network.layers]
-    return Network(layers, network.frequencies, network.sine, network.scale, network.count)
+    return replace(network, layers=layers, cells=None)
 
 
 def in_parts(network: Network, x: np.ndarray, half: np.ndarray) -> Bounds:

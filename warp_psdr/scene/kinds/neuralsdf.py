@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,20 +20,17 @@ from warp_psdr.kernels.primitive.network import (
     SLOPE_WORD,
     STEP_WORD,
 )
-
-from .description import Network, ShapeDescription
-from .errors import error
-from .layout import SHAPE_GRID, Layout, Parameter
-from .network_bounds import cells_of, single, steepness, values_of
+from warp_psdr.kernels.primitive.network_kind import NETWORK
+from warp_psdr.scene.errors import error
+from warp_psdr.scene.kinds.kind import Geometry
+from warp_psdr.scene.kinds.network_bounds import cells_of, single, steepness, values_of
+from warp_psdr.scene.kinds.zero_set import ZeroSet
+from warp_psdr.scene.layout import SHAPE_GRID, Layout
 
 if TYPE_CHECKING:
-    from .plugins import Properties
-    from .scene import Scene
+    from warp_psdr.scene.plugins import Properties
+    from warp_psdr.scene.scene import Scene
 
-#: The plugin.
-NEURALSDF = "neuralsdf"
-#: What the errors offer.
-INSTEAD = "sample it at the nodes of a 'sdfgrid', or extract its triangles (psdr.sdf.to_mesh)"
 #: Most sines and cosines: 2^9 pi x is resolved by float32.
 MOST_FREQUENCIES = 10
 #: Bytes of a file's arrays: many times what the largest network takes in float64.
@@ -50,14 +48,91 @@ _KINKS = ("relu", "leaky_relu", "leakyrelu", "elu", "prelu", "relu6", "hardtanh"
 _NAME = re.compile(r"layer(\d+)\.(weight|bias)")
 
 
-def read_network(props: Properties) -> Network:
-    """Take the layers of a ``neuralsdf``.
+@dataclass(eq=False)
+class Network(ZeroSet):
+    """Signed distances in [0, 1]^3 by a multi-layer perceptron."""
 
-    Raises:
-        ValueError: there are none, they do not chain, they are not finite or too large, or an activation has kinks.
-    """
+    plugin = name = "neuralsdf"
+    device = NETWORK
+    instead = "sample it at the nodes of a 'sdfgrid', or extract its triangles (psdr.sdf.to_mesh)"
+
+    layers: list[tuple[np.ndarray, np.ndarray]]  #: weights (out, in) and biases (out,), float64
+    frequencies: int  #: of the sines and cosines of 2^k pi x that the first layer takes beside x
+    sine: bool  #: the activation is a sine; else softplus
+    scale: float  #: its omega, or beta
+    count: int  #: cells of the box along an axis
+    cells: np.ndarray | None = None  #: (Z, Y, X) what is known of cells of the box, as the kernels read it
+
+    @classmethod
+    def read(cls, props: Properties, to_world: np.ndarray) -> tuple[Geometry, np.ndarray]:
+        """Take the layers.
+
+        Raises:
+            ValueError: there are none, they do not chain, they are not finite or too large, or an activation has kinks.
+        """
+        return _read(props), to_world
+
+    @property
+    def nodes(self) -> tuple[int, int, int]:
+        """Number of the corners of cells along x, y and z."""
+        return self.count + 1, self.count + 1, self.count + 1
+
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Return the weights and the biases of each layer."""
+        return {
+            f"layer{n}.{what}": values
+            for n, layer in enumerate(self.layers)
+            for what, values in zip(("weight", "bias"), layer, strict=True)
+        }
+
+    def with_parameters(self, values: Mapping[str, np.ndarray]) -> Network:
+        """Return the network with other weights and biases, by their names, as float64."""
+        pairs = ((values[f"layer{n}.weight"], values[f"layer{n}.bias"]) for n in range(len(self.layers)))
+        layers = [(weight.astype(np.float64), bias.astype(np.float64)) for weight, bias in pairs]
+        return replace(self, layers=layers, cells=None)
+
+    def lay(self, layout: Layout, path: str, shape: int, pose: int) -> int:
+        """Lay out the head, the layers, and what is derived from them."""
+        head, weights, cells = derived(self, self.cells)
+        layout.add_values(head)
+        for name, values in self.parameters().items():
+            layout.add(f"{path}.{name}", values, SHAPE_GRID, owner=shape)
+        layout.add_values(weights)
+        layout.add_values(cells)
+        return pose
+
+    def follow(self, scene: Scene, shape: int, state: Any) -> Any:
+        """Let head, packed weights and cells follow the layers.
+
+        Raises:
+            ValueError: the weights overflow.
+        """
+        network = network_now(scene, shape)
+        problem = overflow(network)
+        if problem:
+            raise ValueError(f"{scene.description.shapes[shape].path}: {problem}; scale the weights down")
+        head, weights, cells = derived(network)
+        place = scene.builder.frames[shape] + POSE
+        for offset, values in ((0, head), (int(head[CELLS_WORD - 1]), weights), (int(head[CELLS_WORD]), cells)):
+            flat = np.ascontiguousarray(values, np.float32).reshape(-1)
+            scene.values[place + offset : place + offset + flat.size].assign(flat)
+
+    @classmethod
+    def describe(cls, shapes: Sequence[tuple[str, Geometry]]) -> list[tuple[str, str, str]]:
+        """Return a line about each."""
+        lines = []
+        for path, network in shapes:
+            assert isinstance(network, Network)
+            widths = [str(network.layers[0][0].shape[1]), *(str(w.shape[0]) for w, _b in network.layers)]
+            activation = f"{'sine, omega' if network.sine else 'softplus, beta'} {network.scale:g}"
+            why = f"{activation}; rays go from cell to cell, and by bounds of its second derivatives in each"
+            lines.append((f"network {path}", " - ".join(widths), why))
+        return lines
+
+
+def _read(props: Properties) -> Network:
     if props.has("face_normals"):
-        raise error(props.where, f"'face_normals' on a '{NEURALSDF}'", "leave it out: its normals are smooth")
+        raise error(props.where, f"'face_normals' on a '{props.type}'", "leave it out: its normals are smooth")
     frequencies = props.integer("frequencies", 0, minimum=0, maximum=MOST_FREQUENCIES)
     count = props.integer("cells", 32)
     if count not in CELLS:
@@ -119,7 +194,7 @@ def _chained(
         problem = f"'{missing}' is missing" if missing else f"got {count} layers"
         raise error(props.where, problem, "give layer0.weight, layer0.bias and so on, of 2 layers or more")
     if count > MOST_LAYERS:
-        raise error(props.where, f"got {count} layers", f"give {MOST_LAYERS} at most, or {INSTEAD}")
+        raise error(props.where, f"got {count} layers", f"give {MOST_LAYERS} at most, or {Network.instead}")
     layers = []
     for n in range(count):
         pair = []
@@ -216,63 +291,28 @@ def derived(network: Network, cells: np.ndarray | None = None) -> tuple[np.ndarr
     return head, weights, cells
 
 
-def add_network(layout: Layout, s: ShapeDescription, number: int) -> None:
-    """Lay out a network behind its pose."""
-    assert s.network is not None
-    head, weights, cells = derived(s.network, s.network.cells)
-    layout.add_values(head)
-    for n, (weight, bias) in enumerate(s.network.layers):
-        layout.add(f"{s.path}.layer{n}.weight", weight, SHAPE_GRID, owner=number)
-        layout.add(f"{s.path}.layer{n}.bias", bias, SHAPE_GRID, owner=number)
-    layout.add_values(weights)
-    layout.add_values(cells)
-
-
-def network_now(scene: Scene, shape: int, held: np.ndarray) -> Network:
-    """Return a network of a scene with its weights as they are now; ``held``: the flat values on the host."""
+def network_now(scene: Scene, shape: int) -> Network:
+    """Return a network of a scene with its weights as they are now."""
     s = scene.description.shapes[shape]
-    assert s.network is not None
-    pairs = []
-    for n in range(len(s.network.layers)):
-        both = [scene.parameters[f"{s.path}.layer{n}.{what}"] for what in ("weight", "bias")]
-        weight, bias = (held[p.offset : p.offset + p.size].reshape(p.shape).astype(np.float64) for p in both)
-        pairs.append((weight, bias))
-    return Network(pairs, s.network.frequencies, s.network.sine, s.network.scale, s.network.count)
-
-
-def follow_networks(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
-    """Let heads, packed weights and cells follow the networks that have changed.
-
-    Raises:
-        ValueError: the weights overflow.
-    """
-    shapes = scene.description.shapes
-    for shape in sorted({p.owner for p in changed if SHAPE_GRID in p.uses}):
-        if shapes[shape].network is None:
-            continue
-        network = network_now(scene, shape, held)
-        problem = overflow(network)
-        if problem:
-            raise ValueError(f"{shapes[shape].path}: {problem}; scale the weights down")
-        head, weights, cells = derived(network)
-        place = scene.parameters[f"{shapes[shape].path}.to_world"].offset + POSE
-        for offset, values in ((0, head), (int(head[CELLS_WORD - 1]), weights), (int(head[CELLS_WORD]), cells)):
-            flat = np.ascontiguousarray(values, np.float32).reshape(-1)
-            scene.values[place + offset : place + offset + flat.size].assign(flat)
+    assert isinstance(s.geometry, Network)
+    found = {name: scene.parameters[f"{s.path}.{name}"] for name in s.geometry.parameters()}
+    held = scene.values.numpy()
+    return s.geometry.with_parameters(
+        {name: held[p.offset : p.offset + p.size].reshape(p.shape) for name, p in found.items()}
+    )
 
 
 def network_and_cells(scene: Scene, shape: int) -> tuple[Network, np.ndarray]:
     """Return a network as it is now, and its cells (Z, Y, X) as ``cells_of`` makes them."""
-    held = scene.values.numpy()
-    network = network_now(scene, shape, held)
-    head = scene.parameters[f"{scene.description.shapes[shape].path}.to_world"].offset + POSE
+    network = network_now(scene, shape)
+    held, head = scene.values.numpy(), scene.builder.frames[shape] + POSE
     n, start = network.count, head + int(held[head + CELLS_WORD])
     return network, held[start : start + n**3].reshape(n, n, n)
 
 
 def bound_slopes(scene: Scene, shape: int) -> None:
     """Let the head of a network hold a bound of its slopes, unless it does: an edit takes it away."""
-    place = scene.parameters[f"{scene.description.shapes[shape].path}.to_world"].offset + POSE + SLOPE_WORD
+    place = scene.builder.frames[shape] + POSE + SLOPE_WORD
     held = scene.values[place : place + 2]
     if held.numpy()[0] == 0.0:
         held.assign(np.array(steepness(*network_and_cells(scene, shape)), np.float32))

@@ -1,51 +1,104 @@
-"""Shapes that are the zero set of a grid of signed distances: the reader (``kernels/primitive/sdfgrid.py``)."""
+"""Shapes that are the zero set of a grid of signed distances (``sdfgrid*.py`` of ``kernels/primitive``)."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from .bsdfs import BsdfDescription, model_of
-from .description import Network, SdfGrid, ShapeDescription
-from .errors import SceneError, error
-from .exact import singular
-from .layout import SHAPE_GRID, Parameter
-from .transforms import transform_points
-from .volume_files import MOST_VALUES, read_vol
+from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
+from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
+from warp_psdr.scene.errors import SceneError, error
+from warp_psdr.scene.kinds.kind import Geometry
+from warp_psdr.scene.kinds.zero_set import ZeroSet
+from warp_psdr.scene.layout import SHAPE_GRID, Layout
+from warp_psdr.scene.volume_files import MOST_VALUES, read_vol
 
 if TYPE_CHECKING:
-    from .plugins import Properties
-    from .scene import Scene
+    from warp_psdr.scene.plugins import Properties
+    from warp_psdr.scene.scene import Scene
 
-#: The plugin.
-SDFGRID = "sdfgrid"
-#: Corners of its box.
-CORNERS = np.array(list(itertools.product((0.0, 1.0), repeat=3)), np.float32)
-#: What the errors offer.
-INSTEAD = "extract its triangles (wp.MarchingCubes, skimage.measure.marching_cubes) and give them as a 'mesh'"
 #: Bezier coefficients of a piece of a uniform cubic B-spline by its four values.
 BEZIER = np.array([[1, 4, 1, 0], [0, 4, 2, 0], [0, 2, 4, 0], [0, 1, 4, 1]]) / 6.0
 #: Rounding of the device's Bezier coefficients, over the greatest value; and voxels at a time.
 ROUNDING, CHUNK = 1.0e-6, 65536
-#: Textures that are read by texture coordinates.
-_READ_UV = ("bitmap", "checkerboard")
 
 
-def read_grid(props: Properties) -> SdfGrid:
-    """Take the values of a ``sdfgrid`` and how its shading normals are found.
+@dataclass(eq=False)
+class SdfGrid(ZeroSet):
+    """Signed distances at the nodes of a grid in [0, 1]^3, interpolated linearly."""
 
-    Raises:
-        ValueError: there are none, they are no grid, or not finite.
-    """
+    plugin = "sdfgrid"
+    name = "sdfgrid"
+    device = LINEAR_GRID
+    jumps = "the faces of voxels"
+    outside_groups = ""
+    instead = "extract its triangles (wp.MarchingCubes, skimage.measure.marching_cubes) and give them as a 'mesh'"
+    cubic: ClassVar[bool] = False  #: the values are coefficients of a B-spline
+
+    values: np.ndarray  #: (Z, Y, X, 1), of the nodes
+    smooth: bool  #: shading normals are interpolated between voxels
+
+    @classmethod
+    def read(cls, props: Properties, to_world: np.ndarray) -> tuple[Geometry, np.ndarray]:
+        """Take the values, and how its shading normals are found.
+
+        Raises:
+            ValueError: there are none, they are no grid, or not finite.
+        """
+        return _read(props), to_world
+
+    @property
+    def nodes(self) -> tuple[int, int, int]:
+        """Number of the nodes along x, y and z."""
+        z, y, x = self.values.shape[:3]
+        return x, y, z
+
+    def parameters(self) -> dict[str, np.ndarray]:
+        """Return the values of the nodes, (Z, Y, X, 1)."""
+        return {"grid": self.values}
+
+    def lay(self, layout: Layout, path: str, shape: int, pose: int) -> int:
+        """Lay out the number of nodes, their values, and what rays walk by."""
+        layout.add_values(np.array([*self.nodes, self.smooth]))
+        offset = layout.add(f"{path}.grid", self.values, SHAPE_GRID, owner=shape)
+        layout.hold(self, "values", offset)
+        layout.add_values(walk_values(self.values, self.cubic))
+        return pose
+
+    def follow(self, scene: Scene, shape: int, state: Any) -> Any:
+        """Let what rays walk by follow the values."""
+        p = scene.parameters[f"{scene.description.shapes[shape].path}.grid"]
+        values = scene.values[p.offset : p.offset + p.size].numpy()
+        found = walk_values(values.reshape(p.shape), self.cubic)
+        scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
+
+    @classmethod
+    def describe(cls, shapes: Sequence[tuple[str, Geometry]]) -> list[tuple[str, str, str]]:
+        """Return one line about all of them."""
+        grids = [geometry for _path, geometry in shapes if isinstance(geometry, SdfGrid)]
+        sizes = [" x ".join(map(str, g.nodes)) + " cubic" * g.cubic for g in grids]
+        return [("distance grids", ", ".join(sizes), "nodes along x, y, z; rays go from voxel to voxel of each")]
+
+
+class CubicSdfGrid(SdfGrid):
+    """The same of which the values are coefficients of a cubic B-spline."""
+
+    name = "cubic sdfgrid"
+    device = CUBIC_GRID
+    jumps = ""
+    cubic = True
+
+
+def _read(props: Properties) -> SdfGrid:
     if props.has("face_normals"):
-        raise error(props.where, f"'face_normals' on a '{SDFGRID}'", "say 'normals': 'analytic'")
+        raise error(props.where, f"'face_normals' on a '{props.type}'", "say 'normals': 'analytic'")
     cubic = props.string("interpolation", "linear", ("linear", "cubic")) == "cubic"
     normals = props.string("normals", "analytic" if cubic else "smooth", ("smooth", "analytic"))
     if cubic and normals == "smooth":
-        problem = f"'smooth' normals on a cubic '{SDFGRID}', whose own normals are smooth"
+        problem = f"'smooth' normals on a cubic '{props.type}', whose own normals are smooth"
         raise error(props.where, problem, "leave out 'normals', or say 'analytic'")
     given = [key for key in ("filename", "grid") if props.has(key)]
     sources = {key: props.take(key) for key in ("filename", "grid")}
@@ -69,7 +122,25 @@ def read_grid(props: Properties) -> SdfGrid:
         props.context.note(f"{place}: no value is {missing}, so the shape is empty")
     elif cubic and not is_passed(values[..., 0], True).any():
         props.context.note(f"{place}: cubic interpolation smooths away what differs in sign, so the shape is empty")
-    return SdfGrid(np.ascontiguousarray(values), normals == "smooth", cubic)
+    kind = CubicSdfGrid if cubic else SdfGrid
+    return kind(np.ascontiguousarray(values), normals == "smooth")
+
+
+def _file(props: Properties, name: Any, place: str) -> np.ndarray:
+    try:
+        return read_vol(props.context.file(name, place))[0]
+    except SceneError:
+        raise
+    except ValueError as problem:
+        raise SceneError(f"{place}: {problem}") from None
+
+
+def _array(value: Any) -> np.ndarray:
+    try:
+        values = np.asarray(value.numpy() if hasattr(value, "numpy") else value)
+        return values.astype(np.float32) if values.dtype.kind in "iuf" else np.empty((), np.float32)
+    except (TypeError, ValueError):
+        return np.empty((), np.float32)
 
 
 def reaches(values: np.ndarray, cubic: bool = False) -> np.ndarray:
@@ -160,77 +231,3 @@ def _extreme(values: np.ndarray, pick: np.ufunc) -> np.ndarray:
             pick(found[own], values[other], out=found[own])
         values = found
     return values
-
-
-def follow_grids(scene: Scene, changed: Iterable[Parameter], held: np.ndarray) -> None:
-    """Let what rays walk by follow the grids that have changed; ``held``: the flat values on the host."""
-    for p in changed:
-        grid = scene.description.shapes[p.owner].grid if SHAPE_GRID in p.uses else None
-        if grid is not None:
-            found = walk_values(held[p.offset : p.offset + p.size].reshape(p.shape), grid.cubic)
-            scene.values[p.offset + p.size : p.offset + p.size + found.size].assign(found)
-
-
-def _file(props: Properties, name: Any, place: str) -> np.ndarray:
-    try:
-        return read_vol(props.context.file(name, place))[0]
-    except SceneError:
-        raise
-    except ValueError as problem:
-        raise SceneError(f"{place}: {problem}") from None
-
-
-def _array(value: Any) -> np.ndarray:
-    try:
-        values = np.asarray(value.numpy() if hasattr(value, "numpy") else value)
-        return values.astype(np.float32) if values.dtype.kind in "iuf" else np.empty((), np.float32)
-    except (TypeError, ValueError):
-        return np.empty((), np.float32)
-
-
-def refuse_textures(props: Properties, bsdf: BsdfDescription, instead: str) -> None:
-    """Raise for a material that reads texture coordinates, which there are none of.
-
-    Raises:
-        ValueError: with ``instead``.
-    """
-    for side in bsdf.sides:
-        for name, texture in side.textures.items():
-            if texture.kind in _READ_UV:
-                problem = f"a '{texture.kind}' for '{name}' on a '{props.type}', which has no texture coordinates"
-                raise error(props.where, problem, f"give a number or a colour, or {instead}")
-        if any(side.textures.get(u) is not side.textures.get(v) for u, v in model_of(side).axes):
-            problem = f"two roughnesses on a '{props.type}', which has no texture coordinates to align them with"
-            raise error(props.where, problem, "give one 'alpha'")
-
-
-def field_shape(
-    props: Properties, held: SdfGrid | Network, to_world: np.ndarray, bsdf: BsdfDescription, instead: str
-) -> ShapeDescription:
-    """Return the shape that is the zero set of a grid or of a network, to which its sides are added.
-
-    ``instead``: what an error offers.
-
-    Raises:
-        ValueError: its pose has no inverse, or its material reads texture coordinates.
-    """
-    reason = singular(to_world)
-    if reason:
-        raise error(props.where, reason, "give it an extent along all axes")
-    refuse_textures(props, bsdf, instead)
-    shape = ShapeDescription(
-        path=props.path,
-        kind=props.type,
-        vertices=transform_points(to_world, CORNERS).astype(np.float32),
-        faces=np.zeros((0, 3), np.int32),
-        bsdf=bsdf,
-        to_world=to_world.astype(np.float32),
-        local_vertices=CORNERS,
-        primitive=props.type,
-    )
-    if isinstance(held, SdfGrid):
-        shape.grid = held
-        shape.primitive = f"cubic {SDFGRID}" if held.cubic else SDFGRID
-    else:
-        shape.network = held
-    return shape

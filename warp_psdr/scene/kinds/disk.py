@@ -1,0 +1,23 @@
+"""The exact disk (``kernels/primitive/disk.py``)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from warp_psdr.kernels.primitive.disk import DISK
+from warp_psdr.scene import primitives
+from warp_psdr.scene.kinds.affine import Exact, corners_of
+
+
+class Disk(Exact):
+    """The unit disk in the plane z = 0."""
+
+    plugin = name = "disk"
+    device = DISK
+    box = corners_of((-1.0, 1.0), (-1.0, 1.0), (0.0,))
+    tessellate = staticmethod(primitives.disk)
+
+    @staticmethod
+    def points(u, v) -> np.ndarray:
+        """Return the points (..., 3) with the coordinates x and y."""
+        return np.stack([u, v, np.zeros_like(u)], axis=-1)
