@@ -1,9 +1,12 @@
 """Curves: what loads, what is refused, and how they follow edits."""
 
+import copy
+
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from warp_psdr.kernels.primitive.curves import HEADER
 from warp_psdr.options import interior
 from warp_psdr.scene.kinds.curve_files import read_curves
 
@@ -147,3 +150,17 @@ def test_other_ways_are_refused() -> None:
     held = psdr.load_dict(described())
     with pytest.raises(ValueError, match=r"paths from the lights do not meet it; use interior.Replay\(\)"):
         psdr.plan(held, integrator=psdr.PathIntegrator(interior=interior.LightTracing()))
+
+
+def test_a_copy_walks_trees_of_its_own() -> None:
+    held = psdr.load_dict(described())
+    params = psdr.traverse(held)
+    params["body.bsdf.reflectance.value"] = 0.25
+    params.update()
+    copied = copy.deepcopy(held)
+    before, after = (scene.values.numpy() for scene in (held, copied))
+    frame = held.builder.frames[0]
+    words = slice(frame + 19, frame + HEADER)  # where the trees lie
+    assert before[words].tobytes() != after[words].tobytes()
+    rest = np.r_[0 : words.start, words.stop : len(before)]
+    np.testing.assert_array_equal(before[rest], after[rest])

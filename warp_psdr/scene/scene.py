@@ -322,6 +322,7 @@ class Scene:
         self.poses.restore(state.local)
         if changed:
             write_parts(self.values, held, state.values)
+            self._followers.renew()
             self._world.show(changed)
             self._renew(changed)
 

@@ -77,6 +77,10 @@ class Followers:
         self._scene = scene
         self._states: dict[int, Any] = {}
         self._posed = {i for i in scene.builder.primitives if geometry_of(scene.description.shapes[i]).follows_pose}
+        self.renew()
+
+    def renew(self) -> None:
+        """Write all that follows poses, also where values of another scene name its trees, which may be gone."""
         self._renew(self._posed)
 
     def move(self, changed: Iterable[Parameter]) -> set[int]:
