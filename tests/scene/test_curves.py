@@ -8,6 +8,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.kernels.primitive.curves import HEADER
 from warp_psdr.options import interior
+from warp_psdr.scene.kinds.curve import TREE
 from warp_psdr.scene.kinds.curve_files import read_curves
 
 T = psdr.Transform
@@ -160,7 +161,7 @@ def test_a_copy_walks_trees_of_its_own() -> None:
     copied = copy.deepcopy(held)
     before, after = (scene.values.numpy() for scene in (held, copied))
     frame = held.builder.frames[0]
-    words = slice(frame + 19, frame + HEADER)  # where the trees lie
+    words = slice(frame + TREE, frame + HEADER)  # where the trees lie
     assert before[words].tobytes() != after[words].tobytes()
     rest = np.r_[0 : words.start, words.stop : len(before)]
     np.testing.assert_array_equal(before[rest], after[rest])

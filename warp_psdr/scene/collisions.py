@@ -81,9 +81,8 @@ class Tracking:
         to_world = self.to_world if self.pose < 0 else held[self.pose : self.pose + 16].reshape(4, 4)
         count = null_collisions(values, self.super_grid.wrap, factor, to_world, self.extent, self.most)
         if count > self.most:
-            raise ValueError(
-                too_many(self.medium, self.super_grid.parameter, float(values.max()) * factor, count, after)
-            )
+            largest = float(values.max()) * factor
+            raise ValueError(too_many(self.medium, self.super_grid.parameter, largest, count, after))
 
     def rebuild(self, values: wp.array, held: np.ndarray) -> None:
         """Check the values that are held; see ``check``."""

@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 #: Pieces of a leaf of the tree (measured).
 LEAF = 4
+#: Words from the matrix in front of the control points to those that say where the trees lie.
+TREE = 19
 
 
 @dataclass(eq=False)
@@ -107,7 +109,7 @@ class Curves(Geometry):
         """Lay out a box around the tubes, which the record holds, and what is behind it; ``follow`` fills it."""
         count, segments = len(self.points), len(self.firsts)
         offset = layout.add_values(np.zeros(16))
-        layout.add_values(np.array([count, segments, self.pieces] + [0.0] * (HEADER - 19)))
+        layout.add_values(np.array([count, segments, self.pieces] + [0.0] * (HEADER - TREE)))
         layout.add(f"{path}.control_points", self.points.reshape(-1), SHAPE_GRID, owner=shape)
         layout.add_values(np.zeros(4 * count))
         layout.add_values(self.firsts)
@@ -133,7 +135,7 @@ class Curves(Geometry):
         low, high = (x.astype(np.float32) for x in self.hulls(world.astype(np.float64)))
         tree = _Tree(low, high, scene.device) if state is None else state
         words = tree.follow(low, high, made=state is not None)
-        scene.values[place + 19 : place + 19 + words.size].assign(words)
+        scene.values[place + TREE : place + TREE + words.size].assign(words)
         box = np.eye(4)
         box[:3, :3] = np.diag(0.5 * (high.max(axis=0) - low.min(axis=0)))
         box[:3, 3] = 0.5 * (high.max(axis=0) + low.min(axis=0))
