@@ -20,6 +20,7 @@ from warp_psdr.scene.kinds.sdfgrid import SdfGrid
 from warp_psdr.scene.kinds.table import MATERIAL
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
+from warp_psdr.topology.exact_shapes import reaching
 from warp_psdr.topology.grid_contacts import in_box, is_open, passed_by, pierced_grid
 from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.joined_rims import joined_rims
@@ -146,6 +147,13 @@ def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, name
     if joined.bared:
         a, b = (scene.description.shapes[i] for i in joined.bared[0])
         return f"{a.path!r} lies in the surface of {b.path!r}, which closes the cylinder by itself; leave it out"
+    pair = reaching(scene, moved)
+    if pair is not None:
+        a, b = (scene.description.shapes[i] for i in pair)
+        return (
+            f"{b.path!r} reaches into the box around {a.path!r}, whose curves of intersection are not known; move them "
+            "apart"
+        )
     pair = touching_pair(scene, moved) or touched(scene, moved)
     if pair is not None:
         a, b = (scene.description.shapes[i] for i in pair)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.topology.crossing_fields import HALVINGS, Field, across_axis, exact_field, grid_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, least_distance, rim_points
+from warp_psdr.topology.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, least_distance, rim_points
 from warp_psdr.topology.joined_rims import joined_rims
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ def touched(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | No
     """
     b, joined = scene.builder, joined_rims(scene)
     corners = scene.points[b.indices].astype(np.float64)
-    for i in exact_shapes(scene):
+    for i in crossable_shapes(scene):
         hit = pierced_faces(scene, i, shapes)
         field, kind = exact_field(scene, i), scene.geometry(i).name
         for j in np.unique(b.face_shape[hit]):

@@ -13,7 +13,7 @@ import numpy as np
 from warp_psdr.scene.primitives import sphere
 from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, cut_grid
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossed_faces, exact_shapes, pose, rim_points, runs_through
+from warp_psdr.topology.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, pose, rim_points, runs_through
 from warp_psdr.topology.grid_silhouettes import grid_shapes
 from warp_psdr.topology.joined_rims import joined_rims
 from warp_psdr.topology.tube_crossings import cut_tubes
@@ -69,7 +69,7 @@ def exact_pairs(scene: Scene, shapes: frozenset[int] | None) -> Iterator[tuple[i
     Of a cylinder that stands on a disk the disk is the first, since the other one ends there. What closes a cylinder,
     and what that disk lies on, is left out.
     """
-    exact, joined = exact_shapes(scene), joined_rims(scene)
+    exact, joined = crossable_shapes(scene), joined_rims(scene)
     closes = {frozenset(pair) for pair in (*(cap[:2] for cap in joined.caps), *joined.buried)}
     stands = {(i, j) for i, _end, j in joined.stands}
     for n, i in enumerate(exact):
@@ -165,7 +165,7 @@ def crossed_light(scene: Scene) -> tuple[int, int] | None:
     for i, j in [*exact_pairs(scene, None), *(cap[:2] for cap in joined_rims(scene).caps)]:
         if shines[i] or shines[j]:
             return (j, i) if shines[i] else (i, j)
-    hit = [(i, crossed_faces(scene, i, None)) for i in exact_shapes(scene)]
+    hit = [(i, crossed_faces(scene, i, None)) for i in crossable_shapes(scene)]
     hit += [(i, cut_grid(scene, i, None).faces) for i in grid_shapes(scene)]
     hit += [(i, cut_tubes(scene, i, None)[0].faces) for i in curve_shapes(scene)]
     for i, faces in hit:

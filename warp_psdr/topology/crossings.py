@@ -13,7 +13,7 @@ from warp_psdr.scene.light_sampling import cumulative
 from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid, pierced_faces
 from warp_psdr.topology.crossing_fields import exact_field
 from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs
-from warp_psdr.topology.exact_shapes import exact_shapes
+from warp_psdr.topology.exact_shapes import crossable_shapes
 from warp_psdr.topology.grid_silhouettes import grid_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
 from warp_psdr.topology.tubes import curve_shapes
@@ -31,7 +31,7 @@ def crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | N
 def _crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | None:
     found = []
     corners = scene.points[scene.builder.indices].astype(np.float64)
-    for i in exact_shapes(scene):
+    for i in crossable_shapes(scene):
         rows = pierced_faces(scene, i, shapes)
         found.append((i, cut(exact_field(scene, i), corners[rows], rows)))
     for i in grid_shapes(scene):

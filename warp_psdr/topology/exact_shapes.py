@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from warp_psdr.scene.kinds.affine import Exact
 from warp_psdr.scene.primitives import cylinder, disk, sphere
 from warp_psdr.topology.camera_view import camera_view
 
@@ -52,6 +53,34 @@ def crossed_faces(scene: Scene, shape: int, shapes: frozenset[int] | None) -> np
 def exact_shapes(scene: Scene) -> list[int]:
     """Return the numbers of the shapes that are exact."""
     return [i for i in scene.builder.primitives if scene.geometry(i).is_material]
+
+
+def crossable_shapes(scene: Scene) -> list[int]:
+    """Return those whose curves of intersection are known."""
+    return [i for i in exact_shapes(scene) if scene.geometry(i).name in CROSSED]
+
+
+def reaching(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
+    """Return an exact shape without known curves of intersection, and another shape that may run through it.
+
+    One of them is in ``shapes`` (None: any). Triangles may if they reach into the box around the shape.
+    """
+    for i in sorted(set(exact_shapes(scene)) - set(crossable_shapes(scene))):
+        linear, center = pose(scene, i)
+        box = scene.geometry(i).corners(np.eye(4)).astype(np.float64)
+        low, high = box.min(axis=0) - TOUCHING, box.max(axis=0) + TOUCHING
+        corners, owners = with_exact_shapes(scene)
+        asked = owners != i if shapes is None or i in shapes else np.isin(owners, sorted(shapes - {i}))
+        local = (corners[asked] - center) @ np.linalg.inv(linear).T
+        near = ((local.min(axis=1, initial=np.inf) < high) & (local.max(axis=1, initial=-np.inf) > low)).all(axis=1)
+        n = np.cross(local[:, 1] - local[:, 0], local[:, 2] - local[:, 0])
+        least, most = (
+            (n * (np.where(n > 0.0, *ends) - local[:, 0])).sum(axis=1) for ends in ((low, high), (high, low))
+        )
+        near &= (least <= 0.0) & (most >= 0.0)
+        if near.any():
+            return i, int(owners[asked][near.argmax()])
+    return None
 
 
 def runs_through(scene: Scene, i: int, j: int) -> bool:
@@ -109,9 +138,19 @@ def with_exact_shapes(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     corners, owners = [scene.points[scene.builder.indices].astype(np.float64)], [scene.builder.face_shape]
     for i in exact_shapes(scene):
         linear, center = pose(scene, i)
-        corners.append(TRIANGLES[scene.geometry(i).name] @ linear.T + center)
+        corners.append(_triangles(scene, i) @ linear.T + center)
         owners.append(np.full(len(corners[-1]), i))
     return np.concatenate(corners), np.concatenate(owners)
+
+
+def _triangles(scene: Scene, shape: int) -> np.ndarray:
+    """Return the triangles (M, 3, 3) that stand for an exact shape, in its own coordinates."""
+    geometry = scene.geometry(shape)
+    if geometry.name in TRIANGLES:
+        return TRIANGLES[geometry.name]
+    assert isinstance(geometry, Exact)
+    made = geometry.tessellate(SEGMENTS)
+    return made.vertices[made.faces]
 
 
 def _across(local: np.ndarray, low: float, high: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -203,10 +242,10 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
         kind = scene.geometry(i).name
         linear, center = pose(scene, i)
         middle, half = float(view.depth(center)), axis @ linear
-        if kind == "cylinder":
-            middle += 0.5 * half[2]
+        low, high = (end(scene.geometry(i).corners(np.eye(4)), axis=0) for end in (np.min, np.max))
+        middle += float(half @ (0.5 * (low + high)))
         reach = np.linalg.norm(half) if kind == "sphere" else np.linalg.norm(half[:2])
-        reach += 0.5 * abs(half[2]) if kind == "cylinder" else 0.0
+        reach += 0.5 * abs(half[2]) * float(high[2] - low[2]) if kind != "sphere" else 0.0
         for plane in view.clip_depths():
             if middle - reach < plane < middle + reach:
                 raise ValueError(
