@@ -375,12 +375,6 @@ FACTORIES = {
         ("grids of distances", (DISTANCES_LIGHTS, "reverse", True, True), SLOW),
     ],
     "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
-    "boundary.silhouette.grid_primary.make_primary_grid_kernel": [
-        *SHADED,
-        SMOOTH,
-        NEURAL,
-        ("samples", (DISTANCES, "samples", False), SLOW),
-    ],
     "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
         *SHADED,
         ("samples", (DISTANCES, "samples", False, False), SLOW),
@@ -391,7 +385,6 @@ FACTORIES = {
         ("curves", (CURVES, "reverse", True), SLOW),
         ("samples", (CURVES, "samples", False), SLOW),
     ],
-    "boundary.silhouette.tube_primary.make_primary_tube_kernel": [("curves", (CURVES, "reverse", True), SLOW)],
     "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
         ("curves", (CURVES, "reverse", True, False), SLOW)
     ],
@@ -418,7 +411,13 @@ FACTORIES = {
         ("reverse", (EXACT, "reverse", True), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
     ],
-    "boundary.silhouette.primary.make_primary_silhouette_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
+    "boundary.silhouette.primary.make_primary_silhouette_kernel": [
+        ("exact", (EXACT, "reverse", True, "exact"), SLOW),
+        *((family, (DISTANCES, "reverse", True, family), SLOW) for family in ("grid", "grid creases")),
+        *((family, (CUBIC, "reverse", True, family), SLOW) for family in ("cubic", "network")),
+        ("curves", (CURVES, "reverse", True, "tubes"), SLOW),
+        ("samples", (DISTANCES, "samples", False, "grid"), SLOW),
+    ],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
         ("reverse", (EXACT, "reverse", True, False), SLOW),
         ("samples", (EXACT, "samples", False, False), SLOW),

@@ -40,13 +40,13 @@ def make_sees(config: PathConfig, kinds: tuple[int, ...] = CURVES):
 
 
 @functools.cache
-def make_hidden(config: PathConfig):
+def make_hidden(config: PathConfig, inside: bool = True):
     """Return ``hidden(scene, x, origin, near) -> bool``: whether something is between a camera's ray origin and x.
 
-    What is nearer than ``near`` does not count.
+    What is nearer than ``near`` does not count. ``inside``: x may lie inside a shape that is seen from outside alone.
     """
     visibility = visibility_of(config)
-    forwards = has_outside_alone(config.primitives)
+    forwards = inside and has_outside_alone(config.primitives)
 
     @wp.func
     def hidden(scene: Scene, x: wp.vec3, origin: wp.vec3, near: wp.float32) -> wp.bool:

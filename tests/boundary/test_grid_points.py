@@ -20,7 +20,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own_direction
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene

@@ -14,7 +14,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     eye_in_voxels,
     item_parts,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_point, network_surface_point
 from warp_psdr.kernels.boundary.silhouette.spline_points import spline_curvature
 from warp_psdr.kernels.primitive.network import network_of

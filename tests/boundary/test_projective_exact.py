@@ -10,8 +10,9 @@ from warp_psdr.estimate.guiding.structure import Evaluator, Space, Structure
 from warp_psdr.kernels.boundary.guiding.projective_exact import make_outline_projection, make_own_numbers
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.silhouette.dispatch import choose_outline, make_silhouettes
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
-from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems, make_secondary_silhouette_kernel
+from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.sampling import square_to_sphere

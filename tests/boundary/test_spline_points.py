@@ -14,7 +14,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     item_parts,
     make_touch_sink,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.spline_points import (
     spline_curvature,
     spline_curve_point,

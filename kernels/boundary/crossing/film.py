@@ -22,7 +22,7 @@ from warp_psdr.kernels.boundary.crossing.curve import (
 from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.forwards import make_hidden
-from warp_psdr.kernels.boundary.silhouette.primary import FRONT
+from warp_psdr.kernels.boundary.silhouette.touch import FRONT
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors

@@ -32,7 +32,7 @@ from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, mo
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.dispatch import make_coordinates
 from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end
-from warp_psdr.kernels.boundary.silhouette.primary import FRONT
+from warp_psdr.kernels.boundary.silhouette.touch import FRONT
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, FOUR_PI
 from warp_psdr.kernels.invalid import count_invalid

@@ -20,10 +20,10 @@ from warp_psdr.kernels.boundary.guiding.path_segments import (
 )
 from warp_psdr.kernels.boundary.silhouette.aim import make_aim_square
 from warp_psdr.kernels.boundary.silhouette.dispatch import make_silhouettes
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.project import make_projections
 from warp_psdr.kernels.boundary.silhouette.rim import make_rims
-from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent, share_of_turn

@@ -32,9 +32,11 @@ class SourceEnd:
     valid: wp.int32
     segment: Segment
     any_moves: wp.int32  # of the shapes met so far, that which is touched included
-    delta: wp.bool  # a light without area, which ``aim`` says the place of
-    y: wp.vec3  # the point that is met, or the direction of what lies behind the scene
-    towards: wp.float32  # density of the direction as of a point of a light, 0: none of the techniques aims there
+    delta: wp.bool  # a light without area, which the segment was aimed at
+    aimed: wp.bool  # the segment was aimed at a light
+    y: wp.vec3  # the point that is met, that of the light without area, or the direction of what lies behind the scene
+    distant: wp.bool  # y is a direction
+    towards: wp.float32  # density of the direction as of a point of a light, 0: no technique aims there, 1: ``delta``
     to_eye: wp.float32  # distance to what the segment was aimed at
 
 
@@ -71,11 +73,15 @@ def make_source_end(config: PathConfig):
         r.light = -1
         end.any_moves = moves(scene, moving, face)
         end.to_eye = wp.length(aim.eye - r.x)
+        end.aimed = aim.light >= 0
         if wp.static(delta_sample is not None):
             if aim.light >= 0:
                 emitter = scene.emitters[aim.light]
                 if is_delta_light(emitter.kind):
                     end.delta = True
+                    end.y = aim.eye
+                    end.distant = aim.distant
+                    end.towards = 1.0
                     ls = delta_sample(scene, emitter, x, wp.vec2(0.0, 0.0))
                     if ls.pdf <= 0.0 or vanishes(ls.radiance):
                         return end
@@ -105,6 +111,7 @@ def make_source_end(config: PathConfig):
                     if not near and wp.length_sq(aim.cross) == 0.0:
                         return end
             end.y = r.w
+            end.distant = r.face2 < 0
             if r.face2 >= 0:
                 end.any_moves += moves(scene, moving, r.face2)
                 end.y = point_at(scene, scene.triangles[r.face2], r.u2, r.v2)

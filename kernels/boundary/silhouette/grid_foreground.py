@@ -35,10 +35,11 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     surface_point,
     touch_curvature,
 )
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import crease_wedge, make_outline, own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import crease_wedge, own_density, own_direction
+from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_outline
 from warp_psdr.kernels.boundary.silhouette.network_points import network_surface_point
-from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT, spline_curvature, spline_surface_point
+from warp_psdr.kernels.boundary.silhouette.touch import FRONT, MARGIN, TRIES, WIDER
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import FAR, PI
 from warp_psdr.kernels.invalid import count_invalid

@@ -18,7 +18,6 @@ from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
 from warp_psdr.kernels.boundary.guiding.slots import choose_slot
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
-from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, wedge_direction
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
 from warp_psdr.kernels.boundary.silhouette.aim import (
     SLOT_DIRECTION,
@@ -33,7 +32,6 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     GridItems,
     TouchPoint,
-    area_of_voxel_area,
     choose_item,
     crease_point,
     crease_side,
@@ -44,10 +42,10 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     from_voxels,
     item_parts,
     make_touch_sink,
-    surface_density,
     surface_point,
     touch_curvature,
 )
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.network_points import network_curve_point, network_surface_point
 from warp_psdr.kernels.boundary.silhouette.spline_points import (
     SLOT_ROOT,
@@ -58,9 +56,7 @@ from warp_psdr.kernels.boundary.silhouette.spline_points import (
     spline_surface_point,
 )
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
-from warp_psdr.kernels.constants import INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.jobs import SampleJob
-from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
@@ -69,38 +65,6 @@ from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of, pack
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
-
-
-@wp.func
-def crease_wedge(point: TouchPoint) -> Wedge:
-    """Directions in which a crease is a silhouette: those between one sheet and what continues the other."""
-    r = Wedge()
-    r.t = wp.normalize(point.along)
-    r.a = wp.normalize(point.up - wp.dot(point.up, r.t) * r.t)
-    r.b = wp.cross(r.t, r.a)
-    x = wp.dot(point.down, r.a)
-    y = wp.dot(point.down, r.b)
-    r.width = wp.atan2(wp.abs(y), -x)
-    r.start = wp.max(wp.atan2(y, x), 0.0)
-    return r
-
-
-@wp.func
-def own_density(tri: Triangle, g: Grid, point: TouchPoint, curvature: wp.float32) -> wp.float32:
-    """Density of an item's point and of a direction of its own, whichever technique has drawn them."""
-    if point.crease == 1:
-        return point.density * pdf_wedge(crease_wedge(point))
-    return surface_density(point) / area_of_voxel_area(tri, g, point) * INV_TWO_PI / curvature
-
-
-@wp.func
-def own_direction(point: TouchPoint, u: wp.vec2) -> wp.vec3:
-    """A direction in which an item may be a silhouette: uniform in a crease's wedge, or in the tangent plane."""
-    if point.crease == 1:
-        return wedge_direction(crease_wedge(point), u)
-    s_axis = any_tangent(point.out)
-    theta = TWO_PI * u[1]
-    return wp.cos(theta) * s_axis + wp.sin(theta) * wp.cross(point.out, s_axis)
 
 
 @functools.cache

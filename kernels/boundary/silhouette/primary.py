@@ -1,10 +1,11 @@
-"""Primary boundary at smooth silhouettes and rims of shapes without triangles, as the camera sees them.
+"""Primary boundary of shapes without triangles: silhouettes, rims and creases that the camera sees.
 
-As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds. The curve is the silhouette
-from the camera, and only the normal component of its velocity counts, which is that of the surface. A rim is a curve of
-the shape and moves with it. Beside a rim of two surfaces the camera may see either.
+As at edges (``path_space/primary.py``), dI_j = integral h(u - u_j) (L_- - L_+) (u' . N) ds, along the curve that the
+camera sees. On smooth surfaces it is the silhouette, and only the normal component of its velocity counts, which is
+that of the surface. A rim moves with its shape. At a crease that is seen from the front (``Touch.creases``) the
+reflected light jumps. A family of shapes gives the points of its curves, with their measures (``touch.py``).
 
-Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``, ``#rims-that-join``.
+Derivation: ``docs/theory/implicit.md#primary-silhouettes``, ``#rims``, ``#silhouettes-of-grids``.
 """
 
 import functools
@@ -12,20 +13,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
-from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
+from warp_psdr.kernels.boundary.film_edge import AHEAD
+from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.pull_record import record_pull
-from warp_psdr.kernels.boundary.silhouette.dispatch import (
-    OutlineItem,
-    choose_outline,
-    make_coordinates,
-    make_silhouette_sink,
-    make_silhouettes,
-)
-from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
-from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
-from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
+from warp_psdr.kernels.boundary.silhouette.table import touch_of
+from warp_psdr.kernels.boundary.silhouette.touch import MARGIN, WIDER
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
@@ -38,15 +31,6 @@ from warp_psdr.kernels.sensor.camera import lens_origin, load_mat44, make_camera
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
-from warp_psdr.kernels.visibility import visibility_of
-
-#: Distances from the silhouette at which a ray inside of it is looked for, each over the one before: float32 may miss
-#: the shape at the first.
-WIDER, TRIES = 4.0, 4
-#: Share by which a ray inside starts farther in front of the silhouette than where it meets the shape.
-MARGIN = 3.0
-#: How far in front of an edge that is seen from the front rays back to the camera start, in steps off the surface.
-FRONT = 20.0
 
 
 @functools.cache
@@ -66,25 +50,22 @@ def make_camera_eye(kind: int):
 
 
 @functools.cache
-def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    silhouettes = make_silhouettes(config.primitives)
-    rims = make_rims(config.primitives)
-    neighbour = make_neighbour(config.primitives)
-    coordinates = make_coordinates(config.primitives)
-    accumulate_silhouette = make_silhouette_sink(role)
+def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool, family: str):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``family``: a touch's."""
+    touch = touch_of(family, config)
+    items, lens_of, draw, seen_from, passing_at = touch.items, touch.lens, touch.draw, touch.seen, touch.passing
+    ahead_of, meets, scale_of, held_at = touch.ahead, touch.meets, touch.scale, touch.held
+    accumulate_point = touch.make_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
     own, behind = make_beside_edge(config)
-    visibility = visibility_of(config)
+    hidden = make_hidden(config, bool(touch.hides))
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
-    draw = make_sampler(config.sampler)
-    sample_1d = draw.sample_1d
-    sample_2d = draw.sample_2d
-    note_place = make_note(config.noted)
     camera_eye = make_camera_eye(config.camera)
+    sample_1d = make_sampler(config.sampler).sample_1d
+    note_place = make_note(config.noted)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
@@ -92,7 +73,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         # Scene:
         scene: Scene,
         camera: Camera,
-        outlines: wp.array(dtype=OutlineItem),
+        found: items,
         # In:
         job: SampleJob,
         # Out:
@@ -103,130 +84,72 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u = (wp.float64(number) + wp.float64(sample_1d(sampler, 0))) / wp.float64(job.samples)
-        lens = lens_point(sample_2d(sampler, 1))
-        n, along = choose_outline(outlines, u)
-        item = outlines[n]
-        rim = item.number < 0
-        face = wp.where(rim, -1 - item.number, item.number)
-        tri = scene.triangles[face]
-        eye = camera_eye(scene, camera, lens)
-        point = SilhouettePoint()
-        if wp.static(rims is not None):
-            if rim:
-                point = rims.seen(tri, face, along, eye, wp.static(distant))
-        if wp.static(silhouettes is not None):
-            if not rim:
-                point = silhouettes.seen(tri, face, eye, wp.static(distant), along)
+        u3 = lens_of(sampler)
+        lens = lens_point(wp.vec2(u3[0], u3[1]))
+        drawn = draw(found, True, u)
+        point = seen_from(scene, found, drawn, camera_eye(scene, camera, lens), wp.static(distant), u3[2])
         if point.valid == 0:
             return
-        if wp.static(rims is not None):
-            if rim and not is_open_end(item, point.q):
-                return
         at = project(scene, camera, point.x, lens)
         if at.valid == 0:
             return
-        step = step_off_primitive(scene, tri)
         distance = wp.length(point.x - at.origin)
         d = (point.x - at.origin) / distance
-        start = point.x + step * point.out
-        joined = wp.bool(False)
-        both = wp.bool(False)  # surfaces are seen, one on either side
-        if wp.static(neighbour is not None):
-            joined = rim and item.neighbours[0] >= 0
-            if joined:
-                # From outside or from within, the way to the eye does not pass the two surfaces.
-                start = point.x - wp.min(FRONT * step, distance - at.near) * d
-        back = at.origin - start
-        length = wp.length(back)
-        if length > at.near and visibility.hidden_from_camera(scene, start, back / length, length - at.near):
+        step = step_off_primitive(scene, scene.triangles[drawn.face])
+        passing = passing_at(scene, point, d, step, distance - at.near)
+        if passing.shows == 0 or hidden(scene, passing.start, at.origin, at.near):
             return
         # ---- The motion of the image ----
-        turn = wp.vec3(0.0, 0.0, 0.0)
-        if wp.static(rims is not None):
-            if rim:
-                turn = rims.rate(tri, point.q)
-        if wp.static(silhouettes is not None):
-            if not rim:
-                turn = silhouettes.rate(tri, eye, wp.static(distant), point.q)
-        rate = film_velocity(scene, camera, at, turn)
-        g = film_gradient(scene, camera, at, wp.vec2(rate[1], -rate[0]))
-        if wp.dot(g, point.out) < 0.0:
-            g = -g
+        rate = film_velocity(scene, camera, at, point.along)
+        a = film_gradient(scene, camera, at, wp.vec2(rate[1], -rate[0]))
+        if wp.dot(a, passing.out) < 0.0:
+            a = -a
         weight = wp.vec3(1.0, 1.0, 1.0)
         if wp.static(role != "forward"):
             weight = gather(camera, at.pixel, job.image_adjoint)
             if vanishes(weight):
                 return
-        uv = coordinates(tri, point.q)
-        note_place(scene, NOTE_POINT, face, uv[0], uv[1], point.x, d, weight)
+        held = held_at(scene, point)
+        note_place(scene, NOTE_POINT, point.face, held[0], held[1], point.x, d, weight)
         # ---- The jump: inside less outside ----
         sampler.index = wp.uint32(1)
-        curvature = wp.float32(0.0)
-        slant = wp.float32(0.0)
-        if wp.static(rims is not None):
-            if rim:
-                slant = rims.slant(tri, point.q, d)
-        apart = BESIDE * step
-        if wp.static(neighbour is not None):
-            if joined:
-                wall = neighbour.into(scene, item, point.x)
-                both = not is_beside(wall, -point.out, d, EDGEWISE)
-                from_its_edge = both != is_beside(wall, point.out, d, EDGEWISE)
-                if not from_its_edge:
-                    slant = wp.min(slant, neighbour.slant(scene, item, point.x, d))
-                    sine = neighbour.corner(scene, item, point, d)
-                    if sine > 0.0:
-                        apart = step * wp.min(OFF / sine, MOST)
-        if wp.static(silhouettes is not None):
-            if not rim:
-                curvature = silhouettes.curvature(tri, point.q, d)
+        apart = passing.apart
         inside = IncidentRadiance()
+        met = wp.bool(False)
         k = wp.int32(0)
         ahead = wp.float32(0.0)
-        met = wp.bool(False)
-        while k < TRIES and not met:
-            # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette; beside a rim,
-            # s over the slant.
-            before = wp.float32(0.0)
-            if wp.static(silhouettes is not None):
-                if not rim:
-                    before = wp.sqrt(2.0 * apart / curvature)
-            if wp.static(rims is not None):
-                if rim:
-                    before = apart / slant
-            ahead = wp.max(AHEAD * step, MARGIN * before)
+        while k < wp.static(touch.tries) and not met:
+            ahead = wp.max(AHEAD * step, MARGIN * ahead_of(point, passing, d, apart))
             ahead = wp.min(ahead, distance - at.near)
-            o = point.x - apart * point.out - ahead * d
+            o = point.x - apart * passing.out - ahead * d
             t_max = at.far - distance + ahead
             inside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
-            met = inside.face == face
-            if wp.static(neighbour is not None):
-                # In front of a silhouette's end there may be a disk.
-                near = inside.face == item.neighbours[0] or inside.face == item.neighbours[1]
-                met = met or (near and inside.face >= 0)
-            apart *= WIDER
+            met = meets(point, False, inside.face, wp.dot(inside.x - point.x, d), ahead)
+            if not met:
+                apart = wp.min(WIDER * apart, passing.most)
             k += 1
         if not met:
             return
-        o = point.x + apart / WIDER * point.out - ahead * d
+        o = point.x + apart * passing.out - ahead * d
         t_max = at.far - distance + ahead
         outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
-        if both and outside.face != item.neighbours[0]:
-            return  # it passes the wall's silhouette, which counts that jump
+        if passing.crease == 1:
+            if not meets(point, True, outside.face, wp.dot(outside.x - point.x, d), ahead):
+                return  # it passes another silhouette, which counts that jump
         if wp.static(bool(config.shown)):
             inside.radiance = own(point.x, distance - at.near)
             outside.radiance = behind(outside.radiance, outside.face, distance - ahead - at.near)
         jump = inside.radiance - outside.radiance
         # ---- Accumulation ----
-        scale = wp.float32(outlines.shape[0]) / wp.float32(job.samples)
+        scale = scale_of(point, drawn, wp.float32(job.samples))
         if wp.static(role != "forward"):
             scale *= wp.dot(weight, jump)
-        g = scale * g
-        speed = accumulate_silhouette(scene, target, point, g)
+        a = scale * a
+        speed = accumulate_point(scene, target, point, a)
         if wp.static(role == "samples"):
-            speed += record_pull(target, number, point.x, turn, g)
+            speed += record_pull(target, number, point.x, point.along, a)
         if wp.static(camera_moves):
-            speed += accumulate_camera(scene, target, camera, at.sample, -g, -distance * g)
+            speed += accumulate_camera(scene, target, camera, at.sample, -a, -distance * a)
         if wp.static(role == "forward"):
             splat(scene, sampler, camera, at.pixel, speed * jump, image_out)
         else:

@@ -28,7 +28,6 @@ from warp_psdr.kernels.boundary.silhouette.aim import (
 )
 from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
-    OutlineItem,
     choose_outline,
     make_coordinates,
     make_silhouette_sink,
@@ -36,6 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.dispatch import (
 )
 from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -49,14 +49,6 @@ from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
-
-
-@wp.struct
-class OutlineItems:
-    """Outlines as ``choose_outline`` takes them. ``share``: of the segments that are not drawn towards lights."""
-
-    items: wp.array(dtype=OutlineItem)
-    share: wp.float32
 
 
 @functools.cache

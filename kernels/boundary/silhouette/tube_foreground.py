@@ -20,7 +20,7 @@ from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
-from warp_psdr.kernels.boundary.silhouette.primary import FRONT, MARGIN, WIDER
+from warp_psdr.kernels.boundary.silhouette.touch import FRONT, MARGIN, WIDER
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
     PART_CREASE,
@@ -147,7 +147,7 @@ def make_foreground_tube_kernel(config: PathConfig, role: str, camera_moves: boo
         crease = point.part == PART_CREASE
         s.x = point.x + beside_tube(point, s.step) * out
         if crease:
-            out = wp.normalize(wp.cross(point.rate, s.w))
+            out = wp.normalize(wp.cross(point.along, s.w))
             s.x = point.x - FRONT * s.step * s.w
             s.known = 1
         s.boundary_normal = out

@@ -70,7 +70,7 @@ class TubePoint:
     gradient: wp.vec3  # of phi
     x: wp.vec3
     out: wp.vec3  # unit normal to the outside
-    rate: wp.vec3  # dx/du of the curve that was asked for
+    along: wp.vec3  # dx/du of the curve that was asked for
     choices: wp.float32  # roots of which this is one
 
 
@@ -161,7 +161,7 @@ def side_roots(f: TubeFrame, eye: wp.vec3, distant: wp.bool) -> tuple[CircleRoot
 def side_seen(
     f: TubeFrame, face: wp.int32, segment: wp.int32, v: wp.float32, eye: wp.vec3, distant: wp.bool, u: wp.float32
 ) -> TubePoint:
-    """Point of the silhouette on a side, one of all roots around the circle at v, each as likely; dx/dv is its rate."""
+    """Point of the silhouette on a side, one of all roots around the circle at v, each as likely; ``along``: dx/dv."""
     r = TubePoint()
     roots, s, t = side_roots(f, eye, distant)
     if roots.count == 0:
@@ -185,7 +185,7 @@ def with_rate(point: TubePoint, eye: wp.vec3, distant: wp.bool) -> TubePoint:
         way = r.x - eye
     along = wp.normalize(wp.cross(r.gradient, tube_bend(r.f, r.e, r.free, way)))
     rise = wp.dot(along, along_gradient(r.f, r.e))
-    r.rate = along / wp.where(rise == 0.0, 1.0, rise)
+    r.along = along / wp.where(rise == 0.0, 1.0, rise)
     r.valid = wp.where(rise == 0.0, 0, r.valid)
     return r
 
@@ -194,7 +194,7 @@ def with_rate(point: TubePoint, eye: wp.vec3, distant: wp.bool) -> TubePoint:
 def tube_outline(point: TubePoint, w: wp.vec3) -> wp.vec3:
     """Tangent of a rim or a crease, or of the silhouette that rays along w see."""
     if point.rim == 1 or point.part == PART_CREASE:
-        return point.rate
+        return point.along
     return wp.cross(point.gradient, tube_bend(point.f, point.e, point.free, w))
 
 
@@ -248,7 +248,7 @@ def sphere_seen(
     r = end_sphere_point(f, face, segment, part, e)
     if not some or not sphere_shows(scene, tri, segment, part, e):
         r.valid = 0
-    r.rate = f.r * sphere_silhouette_rate(here, distant, e)
+    r.along = f.r * sphere_silhouette_rate(here, distant, e)
     return r
 
 
@@ -265,7 +265,7 @@ def rim_seen(
     r.part = part
     r.rim = 1
     around = wp.cross(axis, e)
-    r.rate = (TWO_PI * f.r) * around
+    r.along = (TWO_PI * f.r) * around
     d = eye
     if not distant:
         d = eye - r.x
@@ -309,7 +309,7 @@ def crease_of(scene: Scene, tri: Triangle, face: wp.int32, segment: wp.int32, u:
     along = (1.0 / first) * (f.c1 + f.r1 * e)
     q = f.r * e - away * along
     d_away = f.r * wp.dot(turned, g.c1) * (below - above * f.r1 / first) / (below * below)
-    r.rate = f.r * turned - d_away * along - (away * f.r1 / first) * turned
+    r.along = f.r * turned - d_away * along - (away * f.r1 / first) * turned
     r.face = face
     r.segment = segment
     r.part = PART_CREASE

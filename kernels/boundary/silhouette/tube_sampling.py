@@ -91,7 +91,7 @@ def own_touch(
 def own_touch_density(point: TubePoint, w: wp.vec3, curvature: wp.float32) -> wp.float32:
     """Density of ``own_touch`` in the measure of its point."""
     if point.rim == 1 or point.part == PART_CREASE:
-        return INV_FOUR_PI / wp.length(wp.cross(point.rate, w))
+        return INV_FOUR_PI / wp.length(wp.cross(point.along, w))
     f = point.f
     h = lean(f)
     area = wp.float32(0.0)
@@ -109,7 +109,7 @@ def own_touch_density(point: TubePoint, w: wp.vec3, curvature: wp.float32) -> wp
 @wp.func
 def drawn_touch_density(point: TubePoint, w: wp.vec3) -> wp.float32:
     """Density of a point that ``tube_seen`` returned, but for that of the direction w from where it is seen."""
-    return 1.0 / (point.choices * wp.length(wp.cross(point.rate, w)))
+    return 1.0 / (point.choices * wp.length(wp.cross(point.along, w)))
 
 
 @wp.func
@@ -124,5 +124,5 @@ def seen_touch_density(touched: TubePoint, eye: wp.vec3, distant: wp.bool, w: wp
         here = eye
         if not distant:
             here = (eye - point.f.c) / point.f.r
-        point.rate = point.f.r * sphere_silhouette_rate(here, distant, point.e)
+        point.along = point.f.r * sphere_silhouette_rate(here, distant, point.e)
     return drawn_touch_density(point, w)

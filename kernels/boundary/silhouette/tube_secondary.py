@@ -221,7 +221,7 @@ def make_secondary_tube_kernel(
             s.scale /= wp.float32(job.samples)
         if wp.static(guided):
             s.scale *= factor
-        tangent = point.rate
+        tangent = point.along
         if wp.static(role == "samples"):
             tangent = tube_outline(point, s.w)
         deliver(scene, camera, sampler, number, job, point, tangent, s, target, image_out)

@@ -64,7 +64,7 @@ def begins_curve(scene: Scene, tri: Triangle, segment: wp.int32) -> wp.bool:
 
 @wp.func
 def tube_point(scene: Scene, tri: Triangle, face: wp.int32, touch: TubeGraze) -> TubePoint:
-    """The point itself; its rate is a direction along the curve, of rims and creases alone."""
+    """The point itself; ``along`` is a direction along the curve, of rims and creases alone."""
     if touch.part == PART_CREASE:
         return crease_of(scene, tri, face, touch.segment, touch.v)
     f = frame_at(scene, tri, touch.segment, touch.v)
@@ -74,7 +74,7 @@ def tube_point(scene: Scene, tri: Triangle, face: wp.int32, touch: TubeGraze) ->
         r = side_point(f, face, touch.segment, touch.v, touch.e)
         r.part = touch.part
         r.rim = 1
-        r.rate = wp.cross(tube_axis(f), touch.e)
+        r.along = wp.cross(tube_axis(f), touch.e)
         return r
     return end_sphere_point(f, face, touch.segment, touch.part, touch.e)
 
@@ -216,7 +216,7 @@ def make_tube_outlines(primitives: tuple[int, ...]) -> ChainTouch:
         w = wp.normalize(r.x - o)
         if point.rim == 1 or point.part == PART_CREASE:
             r.rim = 1
-            r.m = wp.cross(point.rate, w)
+            r.m = wp.cross(point.along, w)
         else:
             r.m = point.out
             r.curvature = tube_curvature(point, w)

@@ -14,7 +14,7 @@ from warp_psdr.estimate.jobs import sample_job
 from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
 from warp_psdr.kernels.boundary.guiding.projective import make_seeds_kernel
 from warp_psdr.kernels.boundary.guiding.projective_exact import make_exact_seeds_kernel
-from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import Projective

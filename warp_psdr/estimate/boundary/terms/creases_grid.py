@@ -6,7 +6,7 @@ import math
 
 from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_silhouettes import camera_eyes, facing_creases, grid_shapes
 
@@ -26,7 +26,7 @@ def launch(r: Request) -> Term | None:
     found = facing_creases(r.scene, shapes, camera_eyes(r.scene, r.sensor))
     if found is None:
         return None
-    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, True)
+    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera, "grid creases")
     share = SHARE_OF_VALUES if r.moves.values else SHARE
     samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)

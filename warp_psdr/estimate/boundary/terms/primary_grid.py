@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
@@ -28,7 +28,7 @@ def launch_silhouettes(r: Request, term: BoundaryTerm, cubic: bool) -> Term | No
     """Return the term of linear grids, or of cubic ones."""
     shapes = [i for i in grid_shapes(r.scene, cubic) if r.moves.camera or i in r.moves.shapes]
     require_uncut_grids(r.scene, r.sensor, shapes)
-    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=cubic)
+    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera, "cubic" if cubic else "grid")
     found = grid_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)])
     return launch_items(r, term, kernel, found if r.creases is None else only(found, r.creases))
 

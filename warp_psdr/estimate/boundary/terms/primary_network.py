@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import primary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.boundary.silhouette.grid_primary import make_primary_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.network_kind import NETWORK
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_contacts import require_uncut_grids
@@ -21,7 +21,7 @@ def launch(r: Request) -> Term | None:
     """Return the term of the silhouettes that the camera sees."""
     shapes = [i for i in network_shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
     require_uncut_grids(r.scene, r.sensor, shapes)
-    kernel = make_primary_grid_kernel(r.config, r.role, r.moves.camera, cubic=True, network=True)
+    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera, "network")
     return primary_grid.launch_items(r, TERM, kernel, network_items(r.scene, shapes, [camera_eyes(r.scene, r.sensor)]))
 
 

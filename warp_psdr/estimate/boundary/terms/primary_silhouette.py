@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
@@ -21,9 +22,11 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     require_uncut(r.scene, r.sensor, None if r.moves.camera else r.moves.shapes)
-    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera, "exact")
+    items = OutlineItems()
+    items.items = found
     samples = r.pixels * (r.method.spp_primary or r.spp)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
+    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, items], samples)
 
 
 TERM = BoundaryTerm(

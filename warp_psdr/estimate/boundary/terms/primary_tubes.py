@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.silhouette.tube_primary import make_primary_tube_kernel
+from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.tube_contacts import require_uncut_tubes
@@ -30,7 +30,7 @@ def launch(r: Request) -> Term | None:
     found = tube_items(r.scene, shapes, creases=True)
     if found is None:
         return None
-    kernel = make_primary_tube_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_primary_silhouette_kernel(r.config, r.role, r.moves.camera, "tubes")
     share = SHARE_OF_VALUES if r.moves.values else SHARE
     samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)

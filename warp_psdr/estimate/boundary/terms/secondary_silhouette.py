@@ -7,7 +7,8 @@ import warp as wp
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
-from warp_psdr.kernels.boundary.silhouette.secondary import OutlineItems, make_secondary_silhouette_kernel
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
+from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes

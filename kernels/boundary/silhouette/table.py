@@ -1,0 +1,30 @@
+"""The families of shapes without triangles whose silhouettes the boundary terms know; a new one is a file and a row.
+
+A new exact kind needs no row: the family ``exact`` reads what its record declares.
+"""
+
+import functools
+from collections.abc import Callable
+
+from warp_psdr.kernels.boundary.silhouette.exact_touch import make_exact_touch
+from warp_psdr.kernels.boundary.silhouette.grid_touch import CREASES, CUBIC, LINEAR, make_grid_touch
+from warp_psdr.kernels.boundary.silhouette.network_touch import NETWORK
+from warp_psdr.kernels.boundary.silhouette.touch import Touch
+from warp_psdr.kernels.boundary.silhouette.tube_touch import make_tube_touch
+from warp_psdr.kernels.vertex import PathConfig
+
+#: Family -> maker of its functions for a scene.
+TOUCHES: dict[str, Callable[[PathConfig], Touch]] = {
+    "exact": make_exact_touch,
+    "grid": functools.partial(make_grid_touch, voxels=LINEAR),
+    "cubic": functools.partial(make_grid_touch, voxels=CUBIC),
+    "network": functools.partial(make_grid_touch, voxels=NETWORK),
+    "tubes": make_tube_touch,
+    # Not a family of its own: what grids show from the front.
+    "grid creases": functools.partial(make_grid_touch, voxels=CREASES),
+}
+
+
+def touch_of(family: str, config: PathConfig) -> Touch:
+    """Return the functions of a family for a scene."""
+    return TOUCHES[family](config)
