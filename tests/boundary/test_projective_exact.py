@@ -123,7 +123,7 @@ def test_seeds_carry_light(technique: str) -> None:
     r = request("exact, lamp", BALL, depth=2 if technique == "light" else 4)
     items = outline_items(r.scene)
     space = Space(
-        kernel=make_secondary_silhouette_kernel(r.config, "target", False, False),
+        kernel=make_secondary_silhouette_kernel(r.config, "target", False, False, "exact"),
         head=[r.scene.data(), r.camera, items, moving_shapes(r.scene, r.moves)],
         cdf={},
         facing=None,

@@ -8,7 +8,7 @@ import warp as wp
 
 from warp_psdr.estimate.boundary.terms import secondary_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.foreground import make_foreground_kernel
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.primitive.dispatch import has_flow
 from warp_psdr.options.boundary import PathSpace
@@ -35,7 +35,9 @@ def slides(r: Request) -> bool:
 
 def launch_foreground(r: Request, term: BoundaryTerm, shading: bool, cubic: bool = False) -> Term | None:
     """Return the term of silhouettes, or with ``shading`` of creases that are seen from the front."""
-    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, shading, cubic)
+    kernel = make_foreground_kernel(
+        r.config, r.role, r.moves.camera, "grid creases" if shading else "cubic" if cubic else "grid"
+    )
     found = grid_items(r.scene, grid_shapes(r.scene, cubic), [], concave=shading)
     found = found if r.creases is None else only(found, r.creases)
     return launch_items(r, term, kernel, found, shading)

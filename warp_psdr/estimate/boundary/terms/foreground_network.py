@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_network
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.kernels.boundary.silhouette.grid_foreground import make_foreground_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.foreground import make_foreground_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.network_silhouettes import network_items, network_shapes
 
@@ -16,7 +16,7 @@ def applies(r: Request) -> bool:
 
 def launch(r: Request) -> Term | None:
     """Return the term of what a network sends beside its silhouettes."""
-    kernel = make_foreground_grid_kernel(r.config, r.role, r.moves.camera, False, True, True)
+    kernel = make_foreground_kernel(r.config, r.role, r.moves.camera, "network")
     return foreground_grid.launch_items(r, TERM, kernel, network_items(r.scene, network_shapes(r.scene), []))
 
 

@@ -6,7 +6,7 @@ import math
 
 from warp_psdr.estimate.boundary.terms import secondary_tubes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.silhouette.tube_foreground import make_foreground_tube_kernel
+from warp_psdr.kernels.boundary.silhouette.foreground import make_foreground_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.tubes import curve_shapes, tube_items
@@ -28,7 +28,7 @@ def launch(r: Request) -> Term | None:
     found = tube_items(r.scene, curve_shapes(r.scene), creases=True)
     if found is None:
         return None
-    kernel = make_foreground_tube_kernel(r.config, r.role, r.moves.camera)
+    kernel = make_foreground_kernel(r.config, r.role, r.moves.camera, "tubes")
     share = SHARE_OF_VALUES if r.moves.values else SHARE
     samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)], samples)

@@ -12,7 +12,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.estimate.guiding.intervals import Listing, grid_names
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
-from warp_psdr.kernels.boundary.silhouette.grid_secondary import make_secondary_grid_kernel
+from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
@@ -49,8 +49,8 @@ def launch_items(
     found.share = 1.0 if found.aimed == 0 or unlit else min(r.own_share, OWN_SHARE)
 
     def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
-        options = (guided, r.indirect, cubic, network)
-        return make_secondary_grid_kernel(r.config, role, camera_moves, light_pose, *options)
+        family = "network" if network else "cubic" if cubic else "grid"
+        return make_secondary_silhouette_kernel(r.config, role, camera_moves, light_pose, family, guided, r.indirect)
 
     listed = _listed(r.scene, found) if getattr(r.method, "guiding", None) is not None else {}
     head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]

@@ -36,7 +36,7 @@ def launch(r: Request) -> Term | None:
     head = [r.scene.data(), r.camera, items, moving_shapes(r.scene, r.moves)]
 
     def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
-        return make_secondary_silhouette_kernel(r.config, role, camera_moves, light_pose, guided, r.indirect)
+        return make_secondary_silhouette_kernel(r.config, role, camera_moves, light_pose, "exact", guided, r.indirect)
 
     kernel, guide = guided_kernel(r, TERM.name, make, head, found.shape[0], touched=Touched(seeds=seeds))
     return term_of(r, TERM, kernel, [*head, guide], r.pixels * (r.method.spp_secondary or r.spp))

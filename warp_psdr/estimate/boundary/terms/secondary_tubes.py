@@ -11,7 +11,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.estimate.guiding.intervals import Listing, curve_names
 from warp_psdr.estimate.guiding.structure import TECHNIQUES
-from warp_psdr.kernels.boundary.silhouette.tube_secondary import make_secondary_tube_kernel
+from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.plan.motion import moving_shapes
@@ -35,7 +35,7 @@ def launch(r: Request) -> Term | None:
     found.share = r.own_share
 
     def make(role: str, camera_moves: bool, light_pose: bool, guided: bool) -> wp.Kernel:
-        return make_secondary_tube_kernel(r.config, role, camera_moves, light_pose, guided, r.indirect)
+        return make_secondary_silhouette_kernel(r.config, role, camera_moves, light_pose, "tubes", guided, r.indirect)
 
     listed = {}
     if getattr(r.method, "guiding", None) is not None:
