@@ -12,7 +12,12 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import differentiable
-from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, PARALLEL_CAMERAS
+from warp_psdr.kernels.constants import (
+    CAMERA_IRRADIANCEMETER,
+    CAMERA_ORTHOGRAPHIC,
+    CAMERA_THINLENS,
+    PARALLEL_CAMERAS,
+)
 from warp_psdr.kernels.sampling import square_to_disk
 from warp_psdr.kernels.sensor.meter import meter_direction, meter_origin
 from warp_psdr.kernels.sink import make_sink
@@ -300,3 +305,19 @@ def make_camera_sink(role: str, kind: int):
         return total
 
     return accumulate_camera
+
+
+@functools.cache
+def make_camera_eye(kind: int):
+    """Return ``camera_eye(scene, camera, lens) -> vec3``: where a camera's rays start, or the way they come from."""
+
+    @wp.func
+    def camera_eye(scene: Scene, camera: Camera, lens: wp.vec2) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
+            return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+        if wp.static(kind == CAMERA_THINLENS):
+            return lens_origin(m, scene.values[camera.aperture_radius], lens)
+        return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+
+    return camera_eye

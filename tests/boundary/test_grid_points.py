@@ -16,7 +16,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     curve_point,
     eye_in_voxels,
     item_parts,
-    make_touch_sink,
+    make_linear_touch_sink,
     surface_point,
     touch_curvature,
 )
@@ -36,7 +36,7 @@ from warp_psdr.topology.grid_silhouettes import (
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 
-ACCUMULATE = make_touch_sink("forward")
+ACCUMULATE = make_linear_touch_sink("forward")
 SAMPLES = 1_000_000
 ANALYTIC = {"normals": "analytic"}
 

@@ -12,10 +12,10 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     choose_item,
     eye_in_voxels,
     item_parts,
-    make_touch_sink,
 )
 from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own_direction
 from warp_psdr.kernels.boundary.silhouette.spline_points import (
+    make_cubic_touch_sink,
     spline_curvature,
     spline_curve_point,
     spline_surface_point,
@@ -28,7 +28,7 @@ from warp_psdr.topology.grid_silhouettes import items_of, spline_may_show
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 
-ACCUMULATE = make_touch_sink("forward", True)
+ACCUMULATE = make_cubic_touch_sink("forward")
 SAMPLES = 400_000
 CUBIC = {"interpolation": "cubic"}
 

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
+from warp_psdr.kernels.boundary.silhouette.point import OutlineItem
 from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
 if TYPE_CHECKING:

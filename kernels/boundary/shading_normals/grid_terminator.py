@@ -16,7 +16,6 @@ from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
 from warp_psdr.kernels.boundary.shading_normals.turned_points import make_turned_point
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems, choose_item, eye_in_voxels, item_parts
-from warp_psdr.kernels.boundary.silhouette.primary import make_camera_eye
 from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -27,7 +26,7 @@ from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.primitive.sdfgrid import grid_of, pack
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import make_sdfgrid_sink
 from warp_psdr.kernels.rng import make_sampler, sampler_at
-from warp_psdr.kernels.sensor.camera import make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.camera import make_camera_eye, make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
+from warp_psdr.kernels.boundary.silhouette.point import OutlineItem, SilhouettePoint
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
 from warp_psdr.kernels.primitive.kind import Outline
 from warp_psdr.kernels.primitive.table import affine_of, join
@@ -32,16 +32,6 @@ class Silhouettes(NamedTuple):
     place: wp.Function
     density: wp.Function
     curvature: wp.Function
-
-
-@wp.struct
-class OutlineItem:
-    """An outline: a smooth silhouette, or a rim."""
-
-    number: wp.int32  # of the shape's record; of a rim -1 less that
-    neighbours: wp.vec2i  # records, -1: none; of a disk's rim the cylinder that it closes, whose wall begins there;
-    # of a cylinder's silhouette the disks that close it
-    closed: wp.int32  # of a cylinder's rims: the end, 0 or 1, that is no open edge; -1: none
 
 
 @wp.func

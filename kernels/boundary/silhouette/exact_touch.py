@@ -14,20 +14,19 @@ import warp as wp
 from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.film_edge import BESIDE
 from warp_psdr.kernels.boundary.silhouette.dispatch import (
-    OutlineItem,
     choose_outline,
     make_coordinates,
+    make_silhouette_sink,
     make_silhouettes,
 )
 from warp_psdr.kernels.boundary.silhouette.edge_on import EDGEWISE, is_beside
 from warp_psdr.kernels.boundary.silhouette.ends import SourceEnd
-from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
+from warp_psdr.kernels.boundary.silhouette.point import OutlineItem, SilhouettePoint
 from warp_psdr.kernels.boundary.silhouette.rim import is_open_end, make_neighbour, make_rims
 from warp_psdr.kernels.boundary.silhouette.touch import FRONT, DrawnItem, Passing, Touch
 from warp_psdr.kernels.constants import FAR, INV_FOUR_PI, INV_TWO_PI, TWO_PI
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.affine import make_pose_sink
-from warp_psdr.kernels.rng import Sampler, make_sampler
+from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.vertex import PathConfig
@@ -41,31 +40,9 @@ class OutlineItems:
     share: wp.float32
 
 
-@wp.struct
-class ExactPoint:
-    """A point of an outline."""
-
-    valid: wp.int32
-    face: wp.int32  # number of the record
-    rim: wp.int32  # 1: of a rim
-    item: OutlineItem
-    q: wp.vec3  # in the shape's coordinates
-    x: wp.vec3
-    out: wp.vec3  # unit normal to the outside
-    along: wp.vec3  # dx/du of the outline that was asked for
-
-
 @wp.func
-def exact_point(item: OutlineItem, p: SilhouettePoint) -> ExactPoint:
-    r = ExactPoint()
-    r.valid = p.valid
-    r.face = p.face
-    r.item = item
-    r.rim = wp.where(item.number < 0, 1, 0)
-    r.q = p.q
-    r.x = p.x
-    r.out = p.out
-    return r
+def no_choice(sampler: Sampler, of_camera: wp.bool) -> wp.float32:
+    return 0.0
 
 
 @wp.func
@@ -90,13 +67,13 @@ def draw_guided_outline(found: OutlineItems, own: wp.bool, u: wp.float64, weight
 
 
 @wp.func
-def outline_scale(point: ExactPoint, drawn: DrawnItem, samples: wp.float32) -> wp.float32:
+def outline_scale(point: SilhouettePoint, drawn: DrawnItem, samples: wp.float32) -> wp.float32:
     return drawn.chance / samples
 
 
 @wp.func
 def weigh_outline(
-    point: ExactPoint, drawn: DrawnItem, scale: wp.float32, samples: wp.float32, length: wp.float32
+    point: SilhouettePoint, drawn: DrawnItem, scale: wp.float32, samples: wp.float32, length: wp.float32
 ) -> wp.float32:
     # ``out`` is the boundary normal, one unit long.
     return scale * (drawn.chance / samples) * drawn.factor
@@ -104,42 +81,32 @@ def weigh_outline(
 
 def make_exact_touch(config: PathConfig) -> Touch:
     """Return the functions of exact shapes."""
-    return _make_exact_touch(config.sampler, config.primitives)
+    return _make_exact_touch(config.primitives)
 
 
 @functools.cache
-def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
+def _make_exact_touch(primitives: tuple[int, ...]) -> Touch:
     silhouettes = make_silhouettes(primitives)
     rims = make_rims(primitives)
     neighbour = make_neighbour(primitives)
     coordinates = make_coordinates(primitives)
-    sample_2d = make_sampler(sampler).sample_2d
 
     @wp.func
-    def exact_lens(sampler: Sampler) -> wp.vec3:
-        lens = sample_2d(sampler, 1)
-        return wp.vec3(lens[0], lens[1], 0.0)
-
-    @wp.func
-    def exact_choice(sampler: Sampler) -> wp.float32:
-        return 0.0
-
-    @wp.func
-    def tangent_of(tri: Triangle, point: ExactPoint, eye: wp.vec3, distant: wp.bool) -> wp.vec3:
+    def tangent_of(tri: Triangle, point: SilhouettePoint, eye: wp.vec3, distant: wp.bool) -> wp.vec3:
         """dx/du of a rim, or of the silhouette from an eye."""
         rate = wp.vec3(0.0, 0.0, 0.0)
         if wp.static(rims is not None):
-            if point.rim == 1:
+            if point.item.number < 0:
                 rate = rims.rate(tri, point.q)
         if wp.static(silhouettes is not None):
-            if point.rim == 0:
+            if point.item.number >= 0:
                 rate = silhouettes.rate(tri, eye, distant, point.q)
         return rate
 
     @wp.func
     def exact_seen(
         scene: Scene, found: OutlineItems, drawn: DrawnItem, eye: wp.vec3, distant: wp.bool, choice: wp.float32
-    ) -> ExactPoint:
+    ) -> SilhouettePoint:
         tri = scene.triangles[drawn.face]
         item = found.items[drawn.number]
         p = SilhouettePoint()
@@ -151,14 +118,14 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
         if wp.static(silhouettes is not None):
             if item.number >= 0:
                 p = silhouettes.seen(tri, drawn.face, eye, distant, drawn.along)
-        r = exact_point(item, p)
-        r.along = tangent_of(tri, r, eye, distant)
-        return r
+        p.item = item
+        p.along = tangent_of(tri, p, eye, distant)
+        return p
 
     @wp.func
     def exact_own(
         scene: Scene, found: OutlineItems, drawn: DrawnItem, u: wp.vec3, choice: wp.float32
-    ) -> tuple[ExactPoint, wp.vec3]:
+    ) -> tuple[SilhouettePoint, wp.vec3]:
         tri = scene.triangles[drawn.face]
         item = found.items[drawn.number]
         p = SilhouettePoint()
@@ -175,10 +142,11 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
                 s_axis = any_tangent(p.out)
                 theta = TWO_PI * u[1]
                 w = wp.cos(theta) * s_axis + wp.sin(theta) * wp.cross(p.out, s_axis)
-        return exact_point(item, p), w
+        p.item = item
+        return p, w
 
     @wp.func
-    def exact_passing(scene: Scene, point: ExactPoint, w: wp.vec3, step: wp.float32, reach: wp.float32) -> Passing:
+    def exact_passing(scene: Scene, point: SilhouettePoint, w: wp.vec3, step: wp.float32, reach: wp.float32) -> Passing:
         tri = scene.triangles[point.face]
         r = Passing()
         r.shows = 1
@@ -189,13 +157,13 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
         r.apart = BESIDE * step
         r.most = FAR
         if wp.static(silhouettes is not None):
-            if point.rim == 0:
+            if point.item.number >= 0:
                 r.curvature = silhouettes.curvature(tri, point.q, w)
         if wp.static(rims is not None):
-            if point.rim == 1:
+            if point.item.number < 0:
                 r.slant = rims.slant(tri, point.q, w)
         if wp.static(neighbour is not None):
-            if point.rim == 1 and point.item.neighbours[0] >= 0:
+            if point.item.number < 0 and point.item.neighbours[0] >= 0:
                 # From outside or from within, the way to the eye does not pass the two surfaces.
                 r.start = point.x - wp.min(FRONT * step, reach) * w
                 wall = neighbour.into(scene, point.item, point.x)
@@ -203,26 +171,22 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
                 r.crease = wp.where(inner, 0, 1)
                 if inner != is_beside(wall, point.out, w, EDGEWISE):
                     r.slant = wp.min(r.slant, neighbour.slant(scene, point.item, point.x, w))
-                    p = SilhouettePoint()
-                    p.face = point.face
-                    p.q = point.q
-                    p.x = point.x
-                    sine = neighbour.corner(scene, point.item, p, w)
+                    sine = neighbour.corner(scene, point.item, point, w)
                     if sine > 0.0:
                         r.apart = step * wp.min(OFF / sine, MOST)
         return r
 
     @wp.func
-    def exact_ahead(point: ExactPoint, passing: Passing, w: wp.vec3, apart: wp.float32) -> wp.float32:
+    def exact_ahead(point: SilhouettePoint, passing: Passing, w: wp.vec3, apart: wp.float32) -> wp.float32:
         # At a depth s below the surface, a ray meets it sqrt(2 s / kappa) in front of the silhouette; beside a rim, s
         # over the slant.
-        if point.rim == 1:
+        if point.item.number < 0:
             return apart / passing.slant
         return wp.sqrt(2.0 * apart / passing.curvature)
 
     @wp.func
     def exact_meets(
-        point: ExactPoint, outside: wp.bool, face: wp.int32, beyond: wp.float32, ahead: wp.float32
+        point: SilhouettePoint, outside: wp.bool, face: wp.int32, beyond: wp.float32, ahead: wp.float32
     ) -> wp.bool:
         first = point.item.neighbours[0]
         if outside:
@@ -232,11 +196,11 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
 
     @wp.func
     def exact_own_density(
-        scene: Scene, found: OutlineItems, point: ExactPoint, drawn: DrawnItem, w: wp.vec3, curvature: wp.float32
+        scene: Scene, found: OutlineItems, point: SilhouettePoint, drawn: DrawnItem, w: wp.vec3, curvature: wp.float32
     ) -> wp.float32:
         tri = scene.triangles[point.face]
         if wp.static(rims is not None):
-            if point.rim == 1:
+            if point.item.number < 0:
                 return found.share * INV_FOUR_PI / wp.length(wp.cross(rims.rate(tri, point.q), w))
         if wp.static(silhouettes is not None):
             return found.share * INV_TWO_PI * silhouettes.density(tri, point.q) / curvature
@@ -244,36 +208,23 @@ def _make_exact_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
 
     @wp.func
     def exact_aimed_density(
-        scene: Scene, found: OutlineItems, point: ExactPoint, drawn: DrawnItem, w: wp.vec3, end: SourceEnd
+        scene: Scene, found: OutlineItems, point: SilhouettePoint, drawn: DrawnItem, w: wp.vec3, end: SourceEnd
     ) -> wp.float32:
         tangent = tangent_of(scene.triangles[point.face], point, end.y, end.distant)
         return (1.0 - found.share) * end.towards / wp.length(wp.cross(tangent, w))
 
     @wp.func
-    def exact_outline(scene: Scene, point: ExactPoint, w: wp.vec3) -> wp.vec3:
+    def exact_outline(scene: Scene, point: SilhouettePoint, w: wp.vec3) -> wp.vec3:
         return tangent_of(scene.triangles[point.face], point, w, True)
 
     @wp.func
-    def exact_held(scene: Scene, point: ExactPoint) -> wp.vec2:
+    def exact_held(scene: Scene, point: SilhouettePoint) -> wp.vec2:
         return coordinates(scene.triangles[point.face], point.q)
 
     return Touch(
-        items=OutlineItems, point=ExactPoint, lens=exact_lens, choice=exact_choice, draw=draw_outline,
+        items=OutlineItems, point=SilhouettePoint, choice=no_choice, draw=draw_outline,
         draw_guided=draw_guided_outline, seen=exact_seen, own=exact_own, passing=exact_passing,
         ahead=exact_ahead, meets=exact_meets, scale=outline_scale, own_scale=None, own_density=exact_own_density,
         aimed_density=exact_aimed_density, weigh=weigh_outline, outline=exact_outline, held=exact_held,
-        make_sink=_make_exact_sink,
+        make_sink=make_silhouette_sink,
     )  # fmt: skip
-
-
-@functools.cache
-def _make_exact_sink(role: str) -> wp.Function:
-    """Return the sink of points that ride on their shape."""
-    accumulate_pose = make_pose_sink(role)
-
-    @wp.func
-    def accumulate_exact(scene: Scene, target: wp.array(dtype=wp.float32), point: ExactPoint, g: wp.vec3) -> wp.float32:
-        q = point.q
-        return accumulate_pose(target, scene.triangles[point.face], q[0] * g, q[1] * g, q[2] * g, g)
-
-    return accumulate_exact

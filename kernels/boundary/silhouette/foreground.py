@@ -117,7 +117,7 @@ def make_foreground_kernel(config: PathConfig, role: str, camera_moves: bool, fa
         u4 = sample_4d(sampler, SLOT_DIRECTION)
         u = (wp.float64(number) + wp.float64(sample_1d(sampler, SLOT_SILHOUETTE))) / wp.float64(job.samples)
         drawn = draw(found, True, u)
-        point, w = own_at(scene, found, drawn, wp.vec3(u4[0], u4[1], u4[2]), choice_of(sampler))
+        point, w = own_at(scene, found, drawn, wp.vec3(u4[0], u4[1], u4[2]), choice_of(sampler, False))
         if point.valid == 0:
             return
         s = Segment()

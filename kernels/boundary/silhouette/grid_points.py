@@ -9,6 +9,8 @@ Derivation: ``docs/theory/implicit.md#creases``.
 """
 
 import functools
+from collections.abc import Callable
+from typing import NamedTuple
 
 import warp as wp
 
@@ -16,11 +18,8 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.guiding.slots import Slots
 from warp_psdr.kernels.boundary.silhouette.edge_on import is_beside
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes, make_pose_sink, to_axes
-from warp_psdr.kernels.primitive.network import network_of
-from warp_psdr.kernels.primitive.network_surface import make_cell_sink
 from warp_psdr.kernels.primitive.sdfgrid import Grid, Voxel, grid_of, value_and_gradient, voxel_at, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_adjoint import bend_of, make_voxel_sink, mixed_differences
-from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Kind of an item that is a voxel.
@@ -382,33 +381,69 @@ def choose_item(found: GridItems, count: wp.int32, u: wp.float64) -> tuple[wp.in
     return n, wp.clamp(wp.float32(scaled - wp.float64(n)), 0.0, 0.9999999)
 
 
-@functools.cache
-def make_touch_sink(role: str, cubic: bool = False, network: bool = False):
-    """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point; ``cubic``: of a smooth grid.
+class Voxels(NamedTuple):
+    """What tells grids, and networks with cells for voxels, from each other; lengths and eyes are in voxels.
 
-    g is across the curve, or the surface. The velocity is A' q + b' + A q', q' = -phi' gradient / |gradient|^2, of
-    creases in the face (``docs/theory/implicit.md#creases``). ``network``: of a network, with cells for voxels.
+    Attributes:
+        record: ``(scene, tri) -> Grid``.
+        seen: ``(scene, tri, g, parts, eye, distant, along, choice) -> TouchPoint`` of the curve that an eye sees.
+        place: ``(scene, tri, g, parts, along, across, choice) -> TouchPoint`` of the surface.
+        curvature: ``(tri, g, point, w) -> float``: kappa_n in the world.
+        direction: ``(point, eye, distant) -> vec3``: unit tangent of the silhouette.
+        density: ``(tangent) -> float``: of ``seen`` per length.
+        make_sink: ``(role) -> (scene, target, point, g) -> float``: the adjoint g of a point (``make_touch_sink``).
+        roots: whether a line or a slice may hold several points, one of which is drawn.
+        front: creases that are seen from the front, alone.
+    """
+
+    record: wp.Function
+    seen: wp.Function
+    place: wp.Function
+    curvature: wp.Function
+    direction: wp.Function
+    density: wp.Function
+    make_sink: Callable[[str], wp.Function]
+    roots: bool = True
+    front: bool = False
+
+
+def make_touch_sink(role: str, record: wp.Function, accumulate_phi: wp.Function) -> wp.Function:
+    """Return ``accumulate(scene, target, point, g) -> float``: the adjoint g of a point, across its curve or surface.
+
+    The velocity is A' q + b' + A q', q' = -phi' gradient / |gradient|^2, of creases in the face
+    (``docs/theory/implicit.md#creases``).
+
+    Args:
+        role: as of all sinks.
+        record: as of ``Voxels``.
+        accumulate_phi: ``(scene, target, g, point, a_phi) -> float``: the adjoint of phi at a point.
     """
     accumulate_pose = make_pose_sink(role)
-    accumulate_voxel = make_spline_sink(role) if cubic else make_voxel_sink(role)
-    accumulate_cell = make_cell_sink(role) if network else None
-    record_of = network_of if network else grid_of
 
     @wp.func
     def accumulate_touch(scene: Scene, target: wp.array(dtype=wp.float32), point: TouchPoint, a: wp.vec3) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         tri = scene.triangles[point.face]
-        g = record_of(scene, tri)
+        g = record(scene, tri)
         # A^T a in voxels: x = A p / cells + b.
         pulled = wp.cw_div(wp.vec3(wp.dot(tri.p0, a), wp.dot(tri.p1, a), wp.dot(tri.p2, a)), g.cells)
         a_phi = -wp.dot(pulled, point.gradient) / wp.length_sq(point.gradient)
-        zero = wp.vec3(0.0, 0.0, 0.0)
-        total = wp.float32(0.0)
-        if wp.static(accumulate_cell is not None):
-            p = voxel_corner(point.i, point.j, point.k) + point.place
-            total += accumulate_cell(scene, target, g, p, a_phi, zero)
-        else:
-            total += accumulate_voxel(target, g, point.i, point.j, point.k, point.place, a_phi, zero)
+        total = accumulate_phi(scene, target, g, point, a_phi)
         return total + accumulate_pose(target, tri, point.q[0] * a, point.q[1] * a, point.q[2] * a, a)
 
     return accumulate_touch
+
+
+@functools.cache
+def make_linear_touch_sink(role: str) -> wp.Function:
+    """Return ``make_touch_sink``'s function for linear grids."""
+    accumulate_voxel = make_voxel_sink(role)
+
+    @wp.func
+    def accumulate_linear_phi(
+        scene: Scene, target: wp.array(dtype=wp.float32), g: Grid, point: TouchPoint, a_phi: wp.float32
+    ) -> wp.float32:
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        return accumulate_voxel(target, g, point.i, point.j, point.k, point.place, a_phi, zero)
+
+    return make_touch_sink(role, grid_of, accumulate_linear_phi)

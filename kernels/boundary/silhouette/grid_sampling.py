@@ -12,16 +12,21 @@ from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, we
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     TouchPoint,
+    Voxels,
     area_of_voxel_area,
     crease_point,
+    curve_density,
+    curve_direction,
     curve_point,
     from_voxels,
+    make_linear_touch_sink,
     surface_density,
     surface_point,
+    touch_curvature,
 )
 from warp_psdr.kernels.constants import INV_TWO_PI, PI, TWO_PI
 from warp_psdr.kernels.math import any_tangent
-from warp_psdr.kernels.primitive.sdfgrid import Grid
+from warp_psdr.kernels.primitive.sdfgrid import Grid, grid_of
 from warp_psdr.kernels.structs import Scene, Triangle
 
 
@@ -109,3 +114,18 @@ def linear_place(
         r = crease_point(scene, tri, g, parts, along)
     r.roots = 1.0
     return r
+
+
+LINEAR_VOXELS = Voxels(
+    record=grid_of,
+    seen=linear_seen,
+    place=linear_place,
+    curvature=touch_curvature,
+    direction=curve_direction,
+    density=curve_density,
+    make_sink=make_linear_touch_sink,
+    roots=False,
+)
+#: Creases that are seen from the front, where the normal and the reflected light jump, as on flat meshes
+#: (``path_space/flat_creases.py``).
+CREASES = LINEAR_VOXELS._replace(front=True)

@@ -1,15 +1,12 @@
 """Grids of signed distances as a family of touches (``touch.py``) [ZCM*24]: creases and smooth silhouettes.
 
-Items are faces and voxels (``grid_points.py``); of cubic grids voxels alone, of whose lines and slices all roots count
-(``spline_points.py``). The variant ``CREASES`` are creases that are seen from the front, where the normal and the
-reflected light jump, as on flat meshes (``path_space/flat_creases.py``).
+Items are faces and voxels (``grid_points.py``, ``grid_sampling.py``); of cubic grids voxels alone
+(``spline_points.py``), and of networks their cells (``network_points.py``). These files end with their ``Voxels``.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
 """
 
 import functools
-from collections.abc import Callable
-from typing import NamedTuple
 
 import warp as wp
 
@@ -20,84 +17,31 @@ from warp_psdr.kernels.boundary.silhouette.ends import SourceEnd
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     GridItems,
     TouchPoint,
+    Voxels,
     ahead_of_sheet,
     choose_item,
     crease_side,
-    curve_density,
-    curve_direction,
     eye_in_voxels,
     from_voxels,
     item_parts,
-    make_touch_sink,
     shows_both_sheets,
-    touch_curvature,
 )
 from warp_psdr.kernels.boundary.silhouette.grid_sampling import (
     front_direction,
     front_wedge,
-    linear_place,
-    linear_seen,
     own_density,
     own_direction,
 )
-from warp_psdr.kernels.boundary.silhouette.spline_points import (
-    SLOT_ROOT,
-    spline_curvature,
-    spline_curve_density,
-    spline_curve_point,
-    spline_direction,
-    spline_surface_point,
-)
+from warp_psdr.kernels.boundary.silhouette.spline_points import SLOT_ROOT
 from warp_psdr.kernels.boundary.silhouette.touch import FRONT, DrawnItem, Passing, Touch
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.primitive.sdfgrid import grid_of, pack
+from warp_psdr.kernels.primitive.sdfgrid import pack
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
 
-class Voxels(NamedTuple):
-    """What tells grids, and networks with cells for voxels, from each other; lengths and eyes are in voxels.
-
-    Attributes:
-        record: ``(scene, tri) -> Grid``.
-        seen: ``(scene, tri, g, parts, eye, distant, along, choice) -> TouchPoint`` of the curve that an eye sees.
-        place: ``(scene, tri, g, parts, along, across, choice) -> TouchPoint`` of the surface.
-        curvature: ``(tri, g, point, w) -> float``: kappa_n in the world.
-        direction: ``(point, eye, distant) -> vec3``: unit tangent of the silhouette.
-        density: ``(tangent) -> float``: of ``seen`` per length.
-        make_sink: as in ``Touch``.
-        roots: whether a line or a slice may hold several points, one of which is drawn.
-        front: creases that are seen from the front, alone.
-    """
-
-    record: wp.Function
-    seen: wp.Function
-    place: wp.Function
-    curvature: wp.Function
-    direction: wp.Function
-    density: wp.Function
-    make_sink: Callable[[str], wp.Function]
-    roots: bool = True
-    front: bool = False
-
-
-LINEAR = Voxels(
-    grid_of, linear_seen, linear_place, touch_curvature, curve_direction, curve_density, make_touch_sink, roots=False
-)
-CREASES = LINEAR._replace(front=True)
-CUBIC = Voxels(
-    record=grid_of,
-    seen=spline_curve_point,
-    place=spline_surface_point,
-    curvature=spline_curvature,
-    direction=spline_direction,
-    density=spline_curve_density,
-    make_sink=functools.partial(make_touch_sink, cubic=True),
-)
-
-
-def make_grid_touch(config: PathConfig, voxels: Voxels = LINEAR) -> Touch:
+def make_grid_touch(config: PathConfig, voxels: Voxels) -> Touch:
     """Return the functions of grids."""
     return _make_grid_touch(config.sampler, voxels)
 
@@ -106,20 +50,13 @@ def make_grid_touch(config: PathConfig, voxels: Voxels = LINEAR) -> Touch:
 def _make_grid_touch(sampler: str, voxels: Voxels) -> Touch:
     record, seen, place, make_sink = voxels.record, voxels.seen, voxels.place, voxels.make_sink
     curvature_of, direction, density = voxels.curvature, voxels.direction, voxels.density
-    numbers = make_sampler(sampler)
-    sample_1d = numbers.sample_1d
-    sample_2d = numbers.sample_2d
+    sample_1d = make_sampler(sampler).sample_1d
 
     @wp.func
-    def grid_choice(sampler: Sampler) -> wp.float32:
+    def grid_choice(sampler: Sampler, of_camera: wp.bool) -> wp.float32:
         if wp.static(voxels.roots):
             return sample_1d(sampler, wp.static(SLOT_ROOT))
         return 0.0
-
-    @wp.func
-    def grid_lens(sampler: Sampler) -> wp.vec3:
-        lens = sample_2d(sampler, 1)
-        return wp.vec3(lens[0], lens[1], grid_choice(sampler))
 
     @wp.func
     def grid_item(found: GridItems, n: wp.int32, along: wp.float32, own: wp.bool) -> DrawnItem:
@@ -273,7 +210,7 @@ def _make_grid_touch(sampler: str, voxels: Voxels) -> Touch:
         return pack(point.q)
 
     return Touch(
-        items=GridItems, point=TouchPoint, lens=grid_lens, choice=grid_choice, draw=draw_grid,
+        items=GridItems, point=TouchPoint, choice=grid_choice, draw=draw_grid,
         draw_guided=draw_guided_grid, seen=grid_seen, own=grid_own, passing=grid_passing,
         ahead=grid_ahead, meets=grid_meets, scale=grid_scale, own_scale=grid_own_scale, own_density=grid_own_density,
         aimed_density=grid_aimed_density, weigh=weigh_grid, outline=grid_outline, held=grid_held, make_sink=make_sink,

@@ -7,21 +7,24 @@ fast grad phi . (x - eye) changes.
 Derivation: ``docs/theory/implicit.md#silhouettes-of-networks``.
 """
 
+import functools
+
 import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     TouchPoint,
     from_voxels,
+    make_touch_sink,
     place_point,
     surface_density,
     turn_axes,
     turn_axes_back,
 )
-from warp_psdr.kernels.boundary.silhouette.spline_points import spline_curve_density, spline_direction
+from warp_psdr.kernels.boundary.silhouette.spline_points import CUBIC_VOXELS, spline_curve_density, spline_direction
 from warp_psdr.kernels.primitive.affine import cofactor, determinant
-from warp_psdr.kernels.primitive.network import network_cell, phi_along
+from warp_psdr.kernels.primitive.network import network_cell, network_of, phi_along
 from warp_psdr.kernels.primitive.network_roots import make_network_root
-from warp_psdr.kernels.primitive.network_surface import network_bend, network_field
+from warp_psdr.kernels.primitive.network_surface import make_cell_sink, network_bend, network_field
 from warp_psdr.kernels.primitive.sdfgrid import Grid, voxel_corner
 from warp_psdr.kernels.structs import Scene, Triangle
 
@@ -210,3 +213,26 @@ def network_curve_point(
     r.roots = count
     r.valid = wp.where(r.density > 0.0, r.valid, 0)
     return r
+
+
+@functools.cache
+def make_network_touch_sink(role: str) -> wp.Function:
+    """Return ``make_touch_sink``'s function for networks."""
+    accumulate_cell = make_cell_sink(role)
+
+    @wp.func
+    def accumulate_network_phi(
+        scene: Scene, target: wp.array(dtype=wp.float32), g: Grid, point: TouchPoint, a_phi: wp.float32
+    ) -> wp.float32:
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        return accumulate_cell(scene, target, g, voxel_corner(point.i, point.j, point.k) + point.place, a_phi, zero)
+
+    return make_touch_sink(role, network_of, accumulate_network_phi)
+
+
+NETWORK_CELLS = CUBIC_VOXELS._replace(
+    record=network_of,
+    seen=network_curve_point,
+    place=network_surface_point,
+    make_sink=make_network_touch_sink,
+)

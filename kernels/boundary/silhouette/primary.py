@@ -17,9 +17,10 @@ from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.pull_record import record_pull
+from warp_psdr.kernels.boundary.silhouette.aim import SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.table import touch_of
-from warp_psdr.kernels.boundary.silhouette.touch import MARGIN, WIDER
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
+from warp_psdr.kernels.boundary.silhouette.touch import MARGIN, SLOT_LENS, WIDER
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
@@ -27,33 +28,17 @@ from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
 from warp_psdr.kernels.property import make_beside_edge
 from warp_psdr.kernels.rng import make_sampler, sampler_at
-from warp_psdr.kernels.sensor.camera import lens_origin, load_mat44, make_camera_sink, make_lens
+from warp_psdr.kernels.sensor.camera import make_camera_eye, make_camera_sink, make_lens
 from warp_psdr.kernels.sensor.projection import make_projection, make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache
-def make_camera_eye(kind: int):
-    """Return ``camera_eye(scene, camera, lens) -> vec3``: where a camera's rays start, or the way they come from."""
-
-    @wp.func
-    def camera_eye(scene: Scene, camera: Camera, lens: wp.vec2) -> wp.vec3:
-        m = load_mat44(scene.values, camera.to_world)
-        if wp.static(kind == CAMERA_ORTHOGRAPHIC):
-            return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
-        if wp.static(kind == CAMERA_THINLENS):
-            return lens_origin(m, scene.values[camera.aperture_radius], lens)
-        return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
-
-    return camera_eye
-
-
-@functools.cache
 def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool, family: str):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``family``: a touch's."""
     touch = touch_of(family, config)
-    items, lens_of, draw, seen_from, passing_at = touch.items, touch.lens, touch.draw, touch.seen, touch.passing
+    items, choice_of, draw, seen_from, passing_at = touch.items, touch.choice, touch.draw, touch.seen, touch.passing
     ahead_of, meets, scale_of, held_at = touch.ahead, touch.meets, touch.scale, touch.held
     accumulate_point = touch.make_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
@@ -64,7 +49,9 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
     camera_eye = make_camera_eye(config.camera)
-    sample_1d = make_sampler(config.sampler).sample_1d
+    numbers = make_sampler(config.sampler)
+    sample_1d = numbers.sample_1d
+    sample_2d = numbers.sample_2d
     note_place = make_note(config.noted)
     distant = config.camera == CAMERA_ORTHOGRAPHIC
 
@@ -83,11 +70,11 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
-        u = (wp.float64(number) + wp.float64(sample_1d(sampler, 0))) / wp.float64(job.samples)
-        u3 = lens_of(sampler)
-        lens = lens_point(wp.vec2(u3[0], u3[1]))
+        u = (wp.float64(number) + wp.float64(sample_1d(sampler, SLOT_SILHOUETTE))) / wp.float64(job.samples)
+        lens = lens_point(sample_2d(sampler, SLOT_LENS))
         drawn = draw(found, True, u)
-        point = seen_from(scene, found, drawn, camera_eye(scene, camera, lens), wp.static(distant), u3[2])
+        eye = camera_eye(scene, camera, lens)
+        point = seen_from(scene, found, drawn, eye, wp.static(distant), choice_of(sampler, True))
         if point.valid == 0:
             return
         at = project(scene, camera, point.x, lens)

@@ -13,8 +13,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.dispatch import OutlineItem
-from warp_psdr.kernels.boundary.silhouette.point import SilhouettePoint
+from warp_psdr.kernels.boundary.silhouette.point import OutlineItem, SilhouettePoint
 from warp_psdr.kernels.primitive.affine import cofactor, from_axes, to_axes
 from warp_psdr.kernels.primitive.cylinder import CYLINDER, cylinder_into, cylinder_normal
 from warp_psdr.kernels.primitive.disk import DISK, disk_into, disk_normal

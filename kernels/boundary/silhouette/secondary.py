@@ -111,14 +111,9 @@ def make_secondary_silhouette_kernel(
     There is a role more, "ends": ``target`` receives what the ends of segments are (``guiding/cube.py``).
     """
     touch = touch_of(family, config)
-    items, point_type, choice_of, draw, draw_guided = (
-        touch.items,
-        touch.point,
-        touch.choice,
-        touch.draw,
-        touch.draw_guided,
-    )
-    seen_from, own_at, weigh, outline_at, held_at = touch.seen, touch.own, touch.weigh, touch.outline, touch.held
+    items, point_type, choice_of, seen_from, own_at = touch.items, touch.point, touch.choice, touch.seen, touch.own
+    draw, draw_guided, weigh = touch.draw, touch.draw_guided, touch.weigh
+    outline_at, held_at = touch.outline, touch.held
     evaluates = role in ("target", "ends")
     in_cube = guided or evaluates
     lit = bool(config.area or config.lights)
@@ -173,7 +168,7 @@ def make_secondary_silhouette_kernel(
             else:
                 u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
             drawn = draw(found, own, u)
-        choice = choice_of(sampler)
+        choice = choice_of(sampler, False)
         aim = TangentAim()
         aim.light = -1
         point = point_type()

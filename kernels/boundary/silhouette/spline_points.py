@@ -7,11 +7,15 @@ several points. All of them count: one is drawn, each with the same probability,
 Derivation: ``docs/theory/implicit.md#silhouettes-of-cubic-grids``.
 """
 
+import functools
+
 import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     TouchPoint,
+    Voxels,
     from_voxels,
+    make_touch_sink,
     place_point,
     spread,
     surface_density,
@@ -19,7 +23,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
     turn_axes_back,
 )
 from warp_psdr.kernels.primitive.affine import cofactor, determinant, from_axes
-from warp_psdr.kernels.primitive.sdfgrid import Grid, bracketed, polynomial, voxel_corner
+from warp_psdr.kernels.primitive.sdfgrid import Grid, bracketed, grid_of, polynomial, voxel_corner
 from warp_psdr.kernels.primitive.sdfgrid_cubic import (
     spline_field,
     spline_hessian,
@@ -27,6 +31,7 @@ from warp_psdr.kernels.primitive.sdfgrid_cubic import (
     spline_row,
     spline_weights,
 )
+from warp_psdr.kernels.primitive.sdfgrid_cubic_surface import make_spline_sink
 from warp_psdr.kernels.structs import Scene, Triangle
 
 #: Slot of the number that tells the points of a line or a slice apart.
@@ -390,3 +395,29 @@ def spline_curve_point(
     r.roots = count
     r.valid = wp.where(r.density > 0.0, r.valid, 0)
     return r
+
+
+@functools.cache
+def make_cubic_touch_sink(role: str) -> wp.Function:
+    """Return ``make_touch_sink``'s function for cubic grids."""
+    accumulate_spline = make_spline_sink(role)
+
+    @wp.func
+    def accumulate_cubic_phi(
+        scene: Scene, target: wp.array(dtype=wp.float32), g: Grid, point: TouchPoint, a_phi: wp.float32
+    ) -> wp.float32:
+        zero = wp.vec3(0.0, 0.0, 0.0)
+        return accumulate_spline(target, g, point.i, point.j, point.k, point.place, a_phi, zero)
+
+    return make_touch_sink(role, grid_of, accumulate_cubic_phi)
+
+
+CUBIC_VOXELS = Voxels(
+    record=grid_of,
+    seen=spline_curve_point,
+    place=spline_surface_point,
+    curvature=spline_curvature,
+    direction=spline_direction,
+    density=spline_curve_density,
+    make_sink=make_cubic_touch_sink,
+)

@@ -7,8 +7,10 @@ import functools
 from collections.abc import Callable
 
 from warp_psdr.kernels.boundary.silhouette.exact_touch import make_exact_touch
-from warp_psdr.kernels.boundary.silhouette.grid_touch import CREASES, CUBIC, LINEAR, make_grid_touch
-from warp_psdr.kernels.boundary.silhouette.network_touch import NETWORK
+from warp_psdr.kernels.boundary.silhouette.grid_sampling import CREASES, LINEAR_VOXELS
+from warp_psdr.kernels.boundary.silhouette.grid_touch import make_grid_touch
+from warp_psdr.kernels.boundary.silhouette.network_points import NETWORK_CELLS
+from warp_psdr.kernels.boundary.silhouette.spline_points import CUBIC_VOXELS
 from warp_psdr.kernels.boundary.silhouette.touch import Touch
 from warp_psdr.kernels.boundary.silhouette.tube_touch import make_tube_touch
 from warp_psdr.kernels.vertex import PathConfig
@@ -16,9 +18,9 @@ from warp_psdr.kernels.vertex import PathConfig
 #: Family -> maker of its functions for a scene.
 TOUCHES: dict[str, Callable[[PathConfig], Touch]] = {
     "exact": make_exact_touch,
-    "grid": functools.partial(make_grid_touch, voxels=LINEAR),
-    "cubic": functools.partial(make_grid_touch, voxels=CUBIC),
-    "network": functools.partial(make_grid_touch, voxels=NETWORK),
+    "grid": functools.partial(make_grid_touch, voxels=LINEAR_VOXELS),
+    "cubic": functools.partial(make_grid_touch, voxels=CUBIC_VOXELS),
+    "network": functools.partial(make_grid_touch, voxels=NETWORK_CELLS),
     "tubes": make_tube_touch,
     # Not a family of its own: what grids show from the front.
     "grid creases": functools.partial(make_grid_touch, voxels=CREASES),

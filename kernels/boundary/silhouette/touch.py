@@ -20,6 +20,8 @@ import warp as wp
 WIDER, TRIES = 4.0, 4
 #: Share by which a ray inside starts farther in front of the silhouette than where it meets the shape.
 MARGIN = 3.0
+#: Sample slot of the camera's lens.
+SLOT_LENS = 1
 #: How far in front of an edge that is seen from the front rays back to the sensor start, in steps off the surface.
 FRONT = 20.0
 
@@ -59,8 +61,7 @@ class Touch(NamedTuple):
         items: struct of the items of a scene, with ``share``: of segments whose directions are not towards lights.
         point: struct of a point, with ``valid``, ``face`` (number of its record), ``x``, unit ``out``, and ``along``:
             dx/du of the curve of ``seen``.
-        lens: ``(sampler) -> vec3``: two numbers of a camera's lens, and one that tells roots apart.
-        choice: ``(sampler) -> float``: the last of these for segments.
+        choice: ``(sampler, of_camera) -> float`` in [0, 1): the number that tells roots apart.
         draw: ``(found, own, u) -> DrawnItem``; ``own``: among all, else among those that are aimed at lights.
         draw_guided: ``(found, own, u, weight) -> DrawnItem`` of a point of the guiding cube.
         seen: ``(scene, found, drawn, eye, distant, choice) -> point`` of the curve that an eye sees (``distant``: from
@@ -89,7 +90,6 @@ class Touch(NamedTuple):
 
     items: type
     point: type
-    lens: wp.Function
     choice: wp.Function
     draw: wp.Function
     draw_guided: wp.Function

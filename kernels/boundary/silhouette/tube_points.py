@@ -11,6 +11,7 @@ Derivation: ``docs/theory/implicit.md#silhouettes-of-tubes``, ``#joints``.
 import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.slots import Slots
+from warp_psdr.kernels.boundary.silhouette.touch import Passing
 from warp_psdr.kernels.boundary.silhouette.tube_roots import TURN, CircleRoots, circle_roots
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import TWO_PI
@@ -191,7 +192,7 @@ def with_rate(point: TubePoint, eye: wp.vec3, distant: wp.bool) -> TubePoint:
 
 
 @wp.func
-def tube_outline(point: TubePoint, w: wp.vec3) -> wp.vec3:
+def tube_outline(scene: Scene, point: TubePoint, w: wp.vec3) -> wp.vec3:
     """Tangent of a rim or a crease, or of the silhouette that rays along w see."""
     if point.rim == 1 or point.part == PART_CREASE:
         return point.along
@@ -352,7 +353,7 @@ def tube_seen(
 
 
 @wp.func
-def tube_coordinates(point: TubePoint) -> wp.vec2:
+def tube_coordinates(scene: Scene, point: TubePoint) -> wp.vec2:
     """The two numbers that a vertex there would hold."""
     hit = RayHit()
     f = point.f
@@ -389,13 +390,13 @@ def in_front(point: TubePoint, w: wp.vec3, curvature: wp.float32) -> wp.bool:
 
 
 @wp.func
-def ahead_of_tube(point: TubePoint, w: wp.vec3, out: wp.vec3, apart: wp.float32, curvature: wp.float32) -> wp.float32:
+def ahead_of_tube(point: TubePoint, passing: Passing, w: wp.vec3, apart: wp.float32) -> wp.float32:
     """How far in front of a point rays along w meet the surface that pass it at a distance."""
     if point.part == PART_CREASE:
-        first = wp.abs(wp.dot(point.e, out)) / wp.max(-wp.dot(point.e, w), 1.0e-20)
-        second = wp.abs(wp.dot(point.e2, out)) / wp.max(-wp.dot(point.e2, w), 1.0e-20)
+        first = wp.abs(wp.dot(point.e, passing.out)) / wp.max(-wp.dot(point.e, w), 1.0e-20)
+        second = wp.abs(wp.dot(point.e2, passing.out)) / wp.max(-wp.dot(point.e2, w), 1.0e-20)
         return apart * wp.max(first, second)
     if point.rim == 1:
         n = wp.normalize(point.gradient)
-        return apart * wp.abs(wp.dot(n, out)) / wp.max(-wp.dot(n, w), 1.0e-20)
-    return wp.sqrt(2.0 * apart / wp.max(curvature, 1.0e-20))
+        return apart * wp.abs(wp.dot(n, passing.out)) / wp.max(-wp.dot(n, w), 1.0e-20)
+    return wp.sqrt(2.0 * apart / wp.max(passing.curvature, 1.0e-20))

@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.boundary.film_edge import BESIDE
 from warp_psdr.kernels.boundary.guiding.slots import choose_slot
 from warp_psdr.kernels.boundary.silhouette.ends import SourceEnd
-from warp_psdr.kernels.boundary.silhouette.touch import FRONT, DrawnItem, Passing, Touch
+from warp_psdr.kernels.boundary.silhouette.touch import FRONT, SLOT_LENS, DrawnItem, Passing, Touch
 from warp_psdr.kernels.boundary.silhouette.tube_points import (
     LOOKS,
     PART_CREASE,
@@ -109,11 +109,6 @@ def tube_passing(scene: Scene, point: TubePoint, w: wp.vec3, step: wp.float32, r
 
 
 @wp.func
-def tube_ahead(point: TubePoint, passing: Passing, w: wp.vec3, apart: wp.float32) -> wp.float32:
-    return ahead_of_tube(point, w, passing.out, apart, passing.curvature)
-
-
-@wp.func
 def tube_meets(point: TubePoint, outside: wp.bool, face: wp.int32, beyond: wp.float32, ahead: wp.float32) -> wp.bool:
     # The curve may come back farther behind.
     return face == point.face and beyond < ahead
@@ -161,16 +156,6 @@ def weigh_tube(
     return scale / samples * (drawn.factor * length)
 
 
-@wp.func
-def drawn_tube_outline(scene: Scene, point: TubePoint, w: wp.vec3) -> wp.vec3:
-    return tube_outline(point, w)
-
-
-@wp.func
-def tube_held(scene: Scene, point: TubePoint) -> wp.vec2:
-    return tube_coordinates(point)
-
-
 def make_tube_touch(config: PathConfig) -> Touch:
     """Return the functions of curves."""
     return _make_tube_touch(config.sampler, config.primitives)
@@ -183,22 +168,19 @@ def _make_tube_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
     sample_4d = numbers.sample_4d
 
     @wp.func
-    def tube_lens(sampler: Sampler) -> wp.vec3:
-        u4 = sample_4d(sampler, 1)
-        return wp.vec3(u4[0], u4[1], u4[2])
-
-    @wp.func
-    def tube_choice(sampler: Sampler) -> wp.float32:
+    def tube_choice(sampler: Sampler, of_camera: wp.bool) -> wp.float32:
+        if of_camera:
+            return sample_4d(sampler, SLOT_LENS)[2]
         return sample_1d(sampler, SLOT_AROUND)
 
     def make_sink(role: str) -> wp.Function:
         return make_tube_sink(role, primitives)
 
     return Touch(
-        items=TubeItems, point=TubePoint, lens=tube_lens, choice=tube_choice, draw=draw_tube,
+        items=TubeItems, point=TubePoint, choice=tube_choice, draw=draw_tube,
         draw_guided=draw_guided_tube, seen=drawn_tube_seen, own=tube_own, passing=tube_passing,
-        ahead=tube_ahead, meets=tube_meets, scale=tube_scale, own_scale=tube_own_scale, own_density=tube_own_density,
-        aimed_density=tube_aimed_density, weigh=weigh_tube, outline=drawn_tube_outline, held=tube_held,
+        ahead=ahead_of_tube, meets=tube_meets, scale=tube_scale, own_scale=tube_own_scale, own_density=tube_own_density,
+        aimed_density=tube_aimed_density, weigh=weigh_tube, outline=tube_outline, held=tube_coordinates,
         make_sink=make_sink, tries=LOOKS, hides=(CONES.number,),
         creases=CONES.number in primitives,
     )  # fmt: skip

@@ -13,7 +13,9 @@ from collections.abc import Callable
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.silhouette.grid_points import TouchPoint, make_touch_sink
+from warp_psdr.kernels.boundary.silhouette.grid_points import TouchPoint, make_linear_touch_sink
+from warp_psdr.kernels.boundary.silhouette.network_points import make_network_touch_sink
+from warp_psdr.kernels.boundary.silhouette.spline_points import make_cubic_touch_sink
 from warp_psdr.kernels.boundary.specular.chain_touch import (
     APART,
     GRAZED,
@@ -339,17 +341,7 @@ def grid_outlines() -> dict[int, ChainTouch]:
     """Return the functions of grids and networks: number of the kind -> its own."""
     cubic, network = make_smooth_graze(spline_level, spline_level_bend), make_smooth_graze(network_level, network_bend)
     return {
-        LINEAR_GRID.number: make_grid_outlines(grid_of, linear_graze, voxels_differ, make_touch_sink),
+        LINEAR_GRID.number: make_grid_outlines(grid_of, linear_graze, voxels_differ, make_linear_touch_sink),
         CUBIC_GRID.number: make_grid_outlines(grid_of, cubic, no_front, make_cubic_touch_sink),
         NETWORK.number: make_grid_outlines(network_of, network, no_front, make_network_touch_sink),
     }
-
-
-def make_cubic_touch_sink(role: str) -> wp.Function:
-    """Return ``make_touch_sink``'s function, of smooth grids."""
-    return make_touch_sink(role, True)
-
-
-def make_network_touch_sink(role: str) -> wp.Function:
-    """Return ``make_touch_sink``'s function, of networks."""
-    return make_touch_sink(role, False, True)
