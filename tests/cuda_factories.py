@@ -132,9 +132,6 @@ def moving_among_media(config):
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
 THIRDS = {"materials": MATERIALS, "textures": TEXTURED, "lights": ALL_LIGHTS, "others": OTHERS}
 FAST, SLOW = (), (pytest.mark.slow,)
-SHADED = [(str(shading), (DISTANCES, "reverse", True, shading), SLOW) for shading in (False, True)]
-SMOOTH = ("cubic", (CUBIC, "reverse", True, False, True), SLOW)
-NEURAL = ("networks", (CUBIC, "reverse", True, False, True, True), SLOW)
 
 
 def unlit(config):
@@ -374,19 +371,11 @@ FACTORIES = {
     "boundary.shading_normals.grid_light_horizon.make_grid_light_horizon_kernel": [
         ("grids of distances", (DISTANCES_LIGHTS, "reverse", True, True), SLOW),
     ],
-    "boundary.silhouette.grid_foreground.make_foreground_grid_kernel": [*SHADED, SMOOTH, NEURAL],
-    "boundary.silhouette.grid_secondary.make_secondary_grid_kernel": [
-        *SHADED,
-        ("samples", (DISTANCES, "samples", False, False), SLOW),
-        ("cubic", (CUBIC, "reverse", True, True, False, False, True), SLOW),
-        ("networks", (CUBIC, "reverse", True, True, False, False, True, True), SLOW),
-    ],
-    "boundary.silhouette.tube_foreground.make_foreground_tube_kernel": [
-        ("curves", (CURVES, "reverse", True), SLOW),
-        ("samples", (CURVES, "samples", False), SLOW),
-    ],
-    "boundary.silhouette.tube_secondary.make_secondary_tube_kernel": [
-        ("curves", (CURVES, "reverse", True, False), SLOW)
+    "boundary.silhouette.foreground.make_foreground_kernel": [
+        *((family, (DISTANCES, "reverse", True, family), SLOW) for family in ("grid", "grid creases")),
+        *((family, (CUBIC, "reverse", True, family), SLOW) for family in ("cubic", "network")),
+        ("curves", (CURVES, "reverse", True, "tubes"), SLOW),
+        ("samples", (CURVES, "samples", False, "tubes"), SLOW),
     ],
     "boundary.signed_distance.reparametrised.make_reparametrised_kernel": [
         ("reverse", (SPHERE, moving_shapes(SPHERE), "reverse", WarpOptions()), SLOW),
@@ -419,12 +408,16 @@ FACTORIES = {
         ("samples", (DISTANCES, "samples", False, "grid"), SLOW),
     ],
     "boundary.silhouette.secondary.make_secondary_silhouette_kernel": [
-        ("reverse", (EXACT, "reverse", True, False), SLOW),
-        ("samples", (EXACT, "samples", False, False), SLOW),
-        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, False, True), SLOW),
-        ("guided", (EXACT_LIGHTS, "reverse", False, True, True), SLOW),
-        ("target", (EXACT_LIGHTS, "target", False, False), SLOW),
-        ("ends", (EXACT_LIGHTS, "ends", False, False), SLOW),
+        ("reverse", (EXACT, "reverse", True, False, "exact"), SLOW),
+        ("samples", (EXACT, "samples", False, False, "exact"), SLOW),
+        ("indirect, lights", (EXACT_LIGHTS, "forward", False, True, "exact", False, True), SLOW),
+        ("guided", (EXACT_LIGHTS, "reverse", False, True, "exact", True), SLOW),
+        ("target", (EXACT_LIGHTS, "target", False, False, "exact"), SLOW),
+        ("ends", (EXACT_LIGHTS, "ends", False, False, "exact"), SLOW),
+        ("grids", (DISTANCES, "reverse", True, True, "grid"), SLOW),
+        ("grids, samples", (DISTANCES, "samples", False, False, "grid"), SLOW),
+        *((family, (CUBIC, "reverse", True, True, family), SLOW) for family in ("cubic", "network")),
+        ("curves", (CURVES, "reverse", True, False, "tubes"), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

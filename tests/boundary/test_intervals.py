@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from warp_psdr.estimate.guiding.intervals import Listing, begin, curve_names, follow, grid_names
+from warp_psdr.estimate.guiding.intervals import Listing, begin, follow
+from warp_psdr.topology.kinds.item_names import curve_names, grid_names
 
 
 def listing(names) -> Listing:

@@ -8,7 +8,7 @@ import warp_psdr as psdr
 from tests.path.test_sdfgrid import nodes
 from warp_psdr.estimate.boundary import terms
 from warp_psdr.estimate.boundary.drivers import launch_backward
-from warp_psdr.estimate.boundary.terms import secondary_grid
+from warp_psdr.estimate.boundary.terms import secondary_silhouettes
 from warp_psdr.estimate.boundary.terms.request import Request
 from warp_psdr.estimate.gradient_sums import GradientSums
 from warp_psdr.plan.motion import motion
@@ -258,7 +258,7 @@ def test_both_techniques_of_smooth_silhouettes_have_one_measure(monkeypatch) -> 
             # Without creases, whose densities are those of both techniques.
             request = Request(scene, plan, motion(scene, [GRID]), "reverse", 0, 2048, seed, creases=False)
             sums = GradientSums(scene, [GRID])
-            launch_backward(scene, terms.launches(secondary_grid.TERM, request), adjoint, sums)
+            launch_backward(scene, terms.launches(secondary_silhouettes.TERMS["grid"], request), adjoint, sums)
             totals.append(float(sums.result().numpy()[p.offset : p.offset + p.size].sum(dtype=np.float64)))
         found.append((np.mean(totals), np.std(totals, ddof=1) / np.sqrt(8.0)))
     (aimed, aimed_error), (own, own_error) = found

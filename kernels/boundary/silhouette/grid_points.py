@@ -381,7 +381,7 @@ def choose_item(found: GridItems, count: wp.int32, u: wp.float64) -> tuple[wp.in
     return n, wp.clamp(wp.float32(scaled - wp.float64(n)), 0.0, 0.9999999)
 
 
-class Voxels(NamedTuple):
+class VoxelFunctions(NamedTuple):
     """What tells grids, and networks with cells for voxels, from each other; lengths and eyes are in voxels.
 
     Attributes:
@@ -415,7 +415,7 @@ def make_touch_sink(role: str, record: wp.Function, accumulate_phi: wp.Function)
 
     Args:
         role: as of all sinks.
-        record: as of ``Voxels``.
+        record: as of ``VoxelFunctions``.
         accumulate_phi: ``(scene, target, g, point, a_phi) -> float``: the adjoint of phi at a point.
     """
     accumulate_pose = make_pose_sink(role)

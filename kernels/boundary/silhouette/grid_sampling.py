@@ -12,7 +12,7 @@ from warp_psdr.kernels.boundary.path_space.direction import Wedge, pdf_wedge, we
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     VOXEL_ITEM,
     TouchPoint,
-    Voxels,
+    VoxelFunctions,
     area_of_voxel_area,
     crease_point,
     curve_density,
@@ -116,7 +116,7 @@ def linear_place(
     return r
 
 
-LINEAR_VOXELS = Voxels(
+LINEAR_VOXELS = VoxelFunctions(
     record=grid_of,
     seen=linear_seen,
     place=linear_place,

@@ -1,7 +1,7 @@
 """Grids of signed distances as a family of touches (``touch.py``) [ZCM*24]: creases and smooth silhouettes.
 
 Items are faces and voxels (``grid_points.py``, ``grid_sampling.py``); of cubic grids voxels alone
-(``spline_points.py``), and of networks their cells (``network_points.py``). These files end with their ``Voxels``.
+(``spline_points.py``), and of networks their cells (``network_points.py``). These files end with their ``VoxelFunctions``.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
 """
@@ -17,7 +17,7 @@ from warp_psdr.kernels.boundary.silhouette.ends import SourceEnd
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     GridItems,
     TouchPoint,
-    Voxels,
+    VoxelFunctions,
     ahead_of_sheet,
     choose_item,
     crease_side,
@@ -41,13 +41,13 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
 
-def make_grid_touch(config: PathConfig, voxels: Voxels) -> Touch:
+def make_grid_touch(config: PathConfig, voxels: VoxelFunctions) -> Touch:
     """Return the functions of grids."""
     return _make_grid_touch(config.sampler, voxels)
 
 
 @functools.cache
-def _make_grid_touch(sampler: str, voxels: Voxels) -> Touch:
+def _make_grid_touch(sampler: str, voxels: VoxelFunctions) -> Touch:
     record, seen, place, make_sink = voxels.record, voxels.seen, voxels.place, voxels.make_sink
     curvature_of, direction, density = voxels.curvature, voxels.direction, voxels.density
     sample_1d = make_sampler(sampler).sample_1d

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import (
     TouchPoint,
-    Voxels,
+    VoxelFunctions,
     from_voxels,
     make_touch_sink,
     place_point,
@@ -412,7 +412,7 @@ def make_cubic_touch_sink(role: str) -> wp.Function:
     return make_touch_sink(role, grid_of, accumulate_cubic_phi)
 
 
-CUBIC_VOXELS = Voxels(
+CUBIC_VOXELS = VoxelFunctions(
     record=grid_of,
     seen=spline_curve_point,
     place=spline_surface_point,

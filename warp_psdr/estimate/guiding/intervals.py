@@ -11,9 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Bits of a coordinate of a voxel, and of an item's number below its shape's record.
-COORDINATE_BITS, ITEM_BITS = 13, 42
-
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
@@ -71,27 +68,3 @@ def follow(old: Intervals, listing: Listing) -> Intervals | None:
     rank = np.arange(len(names)) - first
     low = starts[group] + (ends - starts)[group] * (rank / size[group])
     return Intervals(names, np.append(low, 1.0))
-
-
-def grid_names(items: np.ndarray, shape: dict[int, tuple[int, int]]) -> np.ndarray:
-    """Return names of items of grids: voxels beside each other have near ones (Morton order).
-
-    Args:
-        items: (n, 2) records and numbers, as ``grid_points.py`` of the kernels has them.
-        shape: record -> numbers of nodes along x and y.
-    """
-    found = np.zeros(len(items), np.int64)
-    for record, (nx, ny) in shape.items():
-        rows = items[:, 0] == record
-        node, kind = items[rows, 1].astype(np.int64) >> 2, items[rows, 1].astype(np.int64) & 3
-        code = np.zeros(len(node), np.int64)
-        for axis, place in enumerate((node % nx, node // nx % ny, node // (nx * ny))):
-            for bit in range(COORDINATE_BITS):
-                code |= (place >> bit & 1) << (3 * bit + axis)
-        found[rows] = (np.int64(record) << ITEM_BITS) | (code << 2) | kind
-    return found
-
-
-def curve_names(items: np.ndarray) -> np.ndarray:
-    """Return names of items (n, 2) of curves: in their order along them."""
-    return (items[:, 0].astype(np.int64) << ITEM_BITS) | items[:, 1]

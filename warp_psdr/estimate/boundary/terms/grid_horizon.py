@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_grid
-from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.estimate.boundary.terms import secondary_silhouettes
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.shading_normals.grid_horizon import make_grid_horizon_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
+from warp_psdr.topology.kinds.grids import GRID, POSES
 
 
 def applies(r: Request) -> bool:
     """Whether a direction can meet light beside grids, and anything moves."""
-    if not secondary_grid.applies(r):
+    if not secondary_silhouettes.applies(GRID, r):
         return False
     # Light of no area is never met by a direction.
     kinds = {e.kind for e in r.scene.builder.emitters}
@@ -26,7 +27,7 @@ def launch(r: Request) -> Term | None:
         return None
     kernel = make_grid_horizon_kernel(r.config, r.role, r.moves.camera, r.indirect)
     head = [r.scene.data(), r.camera, found]
-    return foreground_grid.launch_with(r, TERM, kernel, head, foreground_grid.SHARE)
+    return term_of(r, TERM, kernel, head, secondary_silhouettes.samples_of(r, POSES))
 
 
 TERM = BoundaryTerm(

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from warp_psdr.estimate.boundary.terms import foreground_grid
-from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+import functools
+
+from warp_psdr.estimate.boundary.terms import foreground_silhouettes, secondary_silhouettes
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.grid_indirect_terminator import make_grid_indirect_terminator_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
+from warp_psdr.topology.kinds.grids import GRID, POSES
 
 
 def launch(r: Request) -> Term | None:
@@ -16,7 +19,7 @@ def launch(r: Request) -> Term | None:
         return None
     kernel = make_grid_indirect_terminator_kernel(r.config, r.role, r.moves.camera)
     head = [r.scene.data(), r.camera, found]
-    return foreground_grid.launch_with(r, TERM, kernel, head, foreground_grid.SHARE)
+    return term_of(r, TERM, kernel, head, secondary_silhouettes.samples_of(r, POSES))
 
 
 TERM = BoundaryTerm(
@@ -25,6 +28,6 @@ TERM = BoundaryTerm(
     stream=22,
     methods=(PathSpace,),
     launch=launch,
-    applies=foreground_grid.applies,
+    applies=functools.partial(foreground_silhouettes.applies, GRID),
     exact=True,
 )

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from warp_psdr.estimate.boundary.terms import foreground_grid, secondary_grid
-from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
+from warp_psdr.estimate.boundary.terms import secondary_silhouettes
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.grid_light_horizon import make_grid_light_horizon_kernel
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_normals import interpolated_grids
 from warp_psdr.topology.grid_silhouettes import grid_items, light_eyes, only
+from warp_psdr.topology.kinds.grids import GRID, POSES
 
 
 def applies(r: Request) -> bool:
     """Whether there are such lights, and anything moves."""
-    return bool(DELTA_LIGHTS & set(r.config.lights)) and secondary_grid.applies(r)
+    return bool(DELTA_LIGHTS & set(r.config.lights)) and secondary_silhouettes.applies(GRID, r)
 
 
 def launch(r: Request) -> Term | None:
@@ -22,7 +23,8 @@ def launch(r: Request) -> Term | None:
     if found is None or found.aimed == 0:
         return None
     kernel = make_grid_light_horizon_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
-    return foreground_grid.launch_with(r, TERM, kernel, [r.scene.data(), r.camera, found], foreground_grid.SHARE)
+    head = [r.scene.data(), r.camera, found]
+    return term_of(r, TERM, kernel, head, secondary_silhouettes.samples_of(r, POSES))
 
 
 TERM = BoundaryTerm(

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 
 from warp_psdr.estimate.boundary.terms import creases_grid
-from warp_psdr.estimate.boundary.terms.primary_grid import SHARE
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.grid_terminator import make_grid_terminator_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
 from warp_psdr.topology.grid_silhouettes import camera_eyes
+from warp_psdr.topology.kinds.grids import PRIMARY
 
 
 def launch(r: Request) -> Term | None:
@@ -20,7 +20,7 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     kernel = make_grid_terminator_kernel(r.config, r.role, r.moves.camera)
-    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * SHARE)
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * PRIMARY.pose)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, found], samples)
 
 

@@ -7,12 +7,12 @@ import math
 from warp_psdr import compiler
 from warp_psdr.estimate.boundary import projective
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.estimate.boundary.terms.secondary_grid import SHARE_OF_VALUES
 from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.plan.motion import moving_shapes
+from warp_psdr.topology.kinds.grids import SECONDARY
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 
@@ -38,7 +38,7 @@ def launch(r: Request) -> Term | None:
         edges, guide = store.guide(r, guiding, seeds)
     if edges is None:
         return None
-    share = SHARE_OF_VALUES if r.values_alone else 1.0
+    share = SECONDARY.values if r.values_alone else 1.0
     samples = math.ceil(r.pixels * (r.method.spp_secondary or r.spp) * share)
     return term_of(
         r, TERM, kernel, [r.scene.data(), r.camera, edges, moving_shapes(r.scene, r.vertex_motion), guide], samples

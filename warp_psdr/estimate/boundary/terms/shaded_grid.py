@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
-from warp_psdr.estimate.boundary.terms import foreground_grid
+import functools
+
+from warp_psdr.estimate.boundary.terms import foreground_silhouettes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.topology.grid_silhouettes import grid_items, only
+from warp_psdr.topology.kinds.family import Shares
+from warp_psdr.topology.kinds.grids import GRID
+
+SHARES = Shares(values=1.0 / 24.0, pose=1.0 / 8.0)
 
 
 def launch(r: Request) -> Term | None:
     """Return the term of jumps of what grids send."""
-    return foreground_grid.launch_foreground(r, TERM, True)
+    found = grid_items(r.scene, GRID.shapes(r.scene), [], concave=True)
+    found = found if r.creases is None else only(found, r.creases)
+    return foreground_silhouettes.launch_items(r, TERM, "grid creases", found, SHARES)
 
 
 TERM = BoundaryTerm(
@@ -18,7 +27,7 @@ TERM = BoundaryTerm(
     stream=17,
     methods=(PathSpace,),
     launch=launch,
-    applies=foreground_grid.applies,
+    applies=functools.partial(foreground_silhouettes.applies, GRID),
     exact=True,
     recorded="secondary",
 )

@@ -1,0 +1,41 @@
+"""Exact shapes of all affine kinds as a family: their outlines and rims."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
+from warp_psdr.kernels.primitive.table import affine_of
+from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.topology.exact_shapes import exact_shapes, require_uncut
+from warp_psdr.topology.joined_rims import outlines
+from warp_psdr.topology.kinds.family import EQUAL, Family, Streams
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+
+def _items(scene: Scene, shapes: list[int], share: float) -> OutlineItems | None:
+    """Return the outlines of some shapes."""
+    found = outlines(scene, frozenset(shapes))
+    if found is None:
+        return None
+    items = OutlineItems()
+    items.items, items.share = found, share
+    return items
+
+
+EXACT = Family(
+    touch="exact",
+    term="silhouette",
+    title="exact shapes",
+    streams=Streams(primary=9, secondary=10),
+    primary=EQUAL,
+    secondary=EQUAL,
+    is_in=lambda primitives: bool(affine_of(primitives)),
+    shapes=exact_shapes,
+    seen=lambda scene, shapes, _sensor, _creases: _items(scene, shapes, 1.0),
+    touched=lambda scene, own_share, _creases: _items(scene, exact_shapes(scene), own_share),
+    require_uncut=lambda scene, sensor, shapes: require_uncut(scene, sensor, frozenset(shapes)),
+    methods=(PathSpace, Projective),
+)
