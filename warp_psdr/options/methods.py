@@ -112,7 +112,7 @@ _METHODS = MethodTable(
         ),
         (
             *("ZCM*24", "Boundaries of implicit surfaces", "boundary.PathSpace(guiding=None)", "boundary"),
-            *("kernels/boundary/silhouette/grid_secondary.py", "implicit_surfaces"),
+            *("kernels/boundary/silhouette/grid_touch.py", "implicit_surfaces"),
         ),
         (
             *("ZYZ21", "Path-space boundaries in media", "boundary.PathSpace(spp_secondary=None)", "boundary"),

@@ -2,7 +2,7 @@
 
 Under interpolated normals, a light of no area still has a positive cosine at the horizon n_g . w = 0 of the surface,
 beyond which the body occludes it. The horizon is the silhouette that the light sees, and the vertex lies on it. The
-terms of creases cover horizons on creases (``grid_primary.py``, ``grid_foreground.py``).
+terms of creases cover horizons on creases (``CREASES`` of ``silhouette/grid_sampling.py``).
 
 Derivation: ``docs/theory/shading_normals.md#horizons-of-grids``.
 """

@@ -79,17 +79,13 @@ def weigh_outline(
     return scale * (drawn.chance / samples) * drawn.factor
 
 
+@functools.cache
 def make_exact_touch(config: PathConfig) -> Touch:
     """Return the functions of exact shapes."""
-    return _make_exact_touch(config.primitives)
-
-
-@functools.cache
-def _make_exact_touch(primitives: tuple[int, ...]) -> Touch:
-    silhouettes = make_silhouettes(primitives)
-    rims = make_rims(primitives)
-    neighbour = make_neighbour(primitives)
-    coordinates = make_coordinates(primitives)
+    silhouettes = make_silhouettes(config.primitives)
+    rims = make_rims(config.primitives)
+    neighbour = make_neighbour(config.primitives)
+    coordinates = make_coordinates(config.primitives)
 
     @wp.func
     def tangent_of(tri: Triangle, point: SilhouettePoint, eye: wp.vec3, distant: wp.bool) -> wp.vec3:

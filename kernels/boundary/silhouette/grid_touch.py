@@ -1,7 +1,7 @@
 """Grids of signed distances as a family of touches (``touch.py``) [ZCM*24]: creases and smooth silhouettes.
 
 Items are faces and voxels (``grid_points.py``, ``grid_sampling.py``); of cubic grids voxels alone
-(``spline_points.py``), and of networks their cells (``network_points.py``). These files end with their ``VoxelFunctions``.
+(``spline_points.py``), and of networks cells (``network_points.py``). Each file ends with its ``VoxelFunctions``.
 
 Derivation: ``docs/theory/implicit.md#silhouettes-of-grids``.
 """
@@ -41,16 +41,12 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig
 
 
+@functools.cache
 def make_grid_touch(config: PathConfig, voxels: VoxelFunctions) -> Touch:
     """Return the functions of grids."""
-    return _make_grid_touch(config.sampler, voxels)
-
-
-@functools.cache
-def _make_grid_touch(sampler: str, voxels: VoxelFunctions) -> Touch:
     record, seen, place, make_sink = voxels.record, voxels.seen, voxels.place, voxels.make_sink
     curvature_of, direction, density = voxels.curvature, voxels.direction, voxels.density
-    sample_1d = make_sampler(sampler).sample_1d
+    sample_1d = make_sampler(config.sampler).sample_1d
 
     @wp.func
     def grid_choice(sampler: Sampler, of_camera: wp.bool) -> wp.float32:

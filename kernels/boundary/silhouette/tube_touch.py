@@ -156,14 +156,10 @@ def weigh_tube(
     return scale / samples * (drawn.factor * length)
 
 
+@functools.cache
 def make_tube_touch(config: PathConfig) -> Touch:
     """Return the functions of curves."""
-    return _make_tube_touch(config.sampler, config.primitives)
-
-
-@functools.cache
-def _make_tube_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
-    numbers = make_sampler(sampler)
+    numbers = make_sampler(config.sampler)
     sample_1d = numbers.sample_1d
     sample_4d = numbers.sample_4d
 
@@ -174,7 +170,7 @@ def _make_tube_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
         return sample_1d(sampler, SLOT_AROUND)
 
     def make_sink(role: str) -> wp.Function:
-        return make_tube_sink(role, primitives)
+        return make_tube_sink(role, config.primitives)
 
     return Touch(
         items=TubeItems, point=TubePoint, choice=tube_choice, draw=draw_tube,
@@ -182,5 +178,5 @@ def _make_tube_touch(sampler: str, primitives: tuple[int, ...]) -> Touch:
         ahead=ahead_of_tube, meets=tube_meets, scale=tube_scale, own_scale=tube_own_scale, own_density=tube_own_density,
         aimed_density=tube_aimed_density, weigh=weigh_tube, outline=tube_outline, held=tube_coordinates,
         make_sink=make_sink, tries=LOOKS, hides=(CONES.number,),
-        creases=CONES.number in primitives,
+        creases=CONES.number in config.primitives,
     )  # fmt: skip
