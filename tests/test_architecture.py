@@ -18,6 +18,16 @@ ROOT = Path(__file__).resolve().parents[1]
 DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
 DEVICE_IMPORTS |= {"hashlib", "inspect", "linecache"}  # for functions whose text is made (kernels/generated.py)
 MAX_LINES = 500
+#: What names a kind of shapes without triangles: on the device its record, on the host its class and its lists.
+NAMES_OF_KINDS = {
+    "kernels": re.compile(r"\b(?:SPHERE|DISK|CYLINDER|LINEAR_GRID|CUBIC_GRID|NETWORK|CONES|TUBES|CURVES)\b"),
+    "warp_psdr": re.compile(
+        r"(?<!guiding)\.(?:grid|network|curves)\b(?!\()|\b(?:grid|network|curve)_shapes\b"
+        r"|\b(?:SdfGrid|CubicSdfGrid|BSplineCurve|LinearCurve)\b"
+    ),
+}
+#: Most files that name one beside the rooms of kinds themselves.
+MOST_NAMING = {"kernels": 14, "warp_psdr": 16}
 #: Host code from the ground up: what stands in a row imports from its own row and from those above it.
 HOST_LAYERS = (
     {
@@ -281,6 +291,19 @@ def test_host_code_leaves_warps_global_state_alone() -> None:
 def test_files_are_short_enough_to_read() -> None:
     # Could a stage or a method move into a file of its own?
     assert broken_by(lambda source: source.splitlines()[MAX_LINES:][:1], ALL_FILES) == {}
+
+
+@pytest.mark.parametrize("top", ["warp_psdr", "kernels"])
+def test_few_files_name_a_kind_of_shapes(top: str) -> None:
+    # A new kind would change all of them (``docs/contributing/walks.md``).
+    rooms = ROOT / "kernels/primitive", ROOT / "warp_psdr/scene/kinds", ROOT / "warp_psdr/topology/kinds"
+    files = [path for path in (ROOT / top).rglob("*.py") if path.parent not in rooms]
+    naming = [names(path) for path in files if NAMES_OF_KINDS[top].search(path.read_text())]
+    assert 0 < len(naming) <= MOST_NAMING[top], naming
+
+
+def test_dispatch_is_generated() -> None:
+    assert [names(path) for path in DEVICE_FILES if "def _either_" in path.read_text()] == []
 
 
 @pytest.mark.parametrize("top", ["warp_psdr", "kernels"])
