@@ -1,4 +1,4 @@
-"""The boundary terms declare themselves: a file each, or a family of shapes each, one list, their own random numbers."""
+"""The boundary terms declare themselves: a file each, or a family of shapes each; one list, own random numbers."""
 
 import pkgutil
 from dataclasses import replace
