@@ -144,8 +144,8 @@ def test_the_plan_names_it() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, "smooth mirrors or glass"),
-        ({"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, "smooth mirrors or glass"),
+        ({"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, "smooth mirrors and glass"),
+        ({"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, "smooth mirrors and glass"),
         (
             {"light": {"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}},
             "hard edge",

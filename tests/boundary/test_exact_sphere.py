@@ -265,11 +265,11 @@ def test_samples_are_drawn_again(kind: str) -> None:
 @pytest.mark.parametrize(
     ("change", "boundary", "problem"),
     [
-        ({}, psdr.boundary.EdgeSampling(), "no terms of it"),
+        ({}, psdr.boundary.EdgeSampling(), "does not know 'ball'"),
         (
             {"ball": ellipsoid(exact=True, bsdf={"type": "dielectric"})},
             psdr.boundary.SignedDistance(),
-            "does not move rays",
+            "does not know smooth mirrors",
         ),
     ],
 )
@@ -284,7 +284,7 @@ def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> N
 
 def test_light_tracing_is_refused() -> None:
     scene = psdr.load_dict({"type": "scene", **room("lamp", exact=True)()})
-    with pytest.raises(ValueError, match="paths from the lights do not meet it"):
+    with pytest.raises(ValueError, match=r"does not know 'ball', an exact 'sphere'; use interior.Replay"):
         psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2, interior=psdr.interior.LightTracing()))
 
 
@@ -293,7 +293,7 @@ def test_interior_methods_without_it_are_refused(method) -> None:
     metal = {"type": "roughconductor", "alpha": 0.3}
     scene = psdr.load_dict({"type": "scene", **room("lamp", exact=True, bsdf=metal)()})
     integrator = psdr.PathIntegrator(max_depth=2, interior=method)
-    with pytest.raises(ValueError, match=rf"{type(method).__name__}\(\) does not know it"):
+    with pytest.raises(ValueError, match=rf"{type(method).__name__}\(\) does not know 'ball'"):
         psdr.plan(scene, names=["ball.bsdf.alpha.value"], integrator=integrator)
 
 

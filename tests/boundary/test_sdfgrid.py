@@ -217,7 +217,7 @@ def test_the_limit_is_the_exact_sphere() -> None:
 @pytest.mark.parametrize(
     ("change", "boundary", "problem"),
     [
-        ({}, psdr.boundary.Projective(), "no terms of it"),
+        ({}, psdr.boundary.Projective(), "does not know 'body'"),
         ({"bsdf": {"type": "plastic"}}, "auto", "'plastic' of 'body'; give it a 'conductor' or a 'dielectric'"),
         ({"grid": values() - 0.2}, "auto", "the surface of 'body' ends at its box"),
     ],

@@ -1,13 +1,19 @@
 """The boundary terms declare themselves: a file each, or a family of shapes each; one list, own random numbers."""
 
 import pkgutil
+import re
 from dataclasses import replace
 from importlib import import_module
+
+import numpy as np
+import pytest
 
 import warp_psdr as psdr
 from warp_psdr.estimate.boundary import terms
 from warp_psdr.invalid import KINDS
 from warp_psdr.options.boundary import FilmEdges
+from warp_psdr.options.words import APART, NEVER, WORDS, words
+from warp_psdr.plan import discontinuities
 from warp_psdr.plan.motion import motion
 
 from .scenes import load
@@ -52,3 +58,54 @@ def test_what_does_not_apply_is_not_looked_for() -> None:
 
     assert terms.launches(replace(terms.named("secondary"), launch=launch), request) == []
     assert [t.kind for t in terms.launches(terms.named("primary"), request)] == ["primary"]
+
+
+#: Words without which terms of such names find nothing.
+ONLY_BESIDE = {
+    "media": "media_",
+    "mirrors": "through_mirrors",
+    "slides": "grid|cubic|network|tubes|silhouette|crossing",
+}
+
+
+def test_a_term_knows_what_its_methods_know_or_the_plan_asks_where_it_exists() -> None:
+    declared = {term.name: getattr(discontinuities, term.name.upper(), None) for term in terms.ALL}
+    asked = {kind for kinds in discontinuities.OF_METHODS.values() for kind in kinds}
+    assert {kind for kind in declared.values() if kind is not None} == asked
+    for term in terms.ALL:
+        if (kind := declared[term.name]) is not None:
+            assert term.knows == kind.knows and set(term.methods) <= set(discontinuities.OF_METHODS)
+            continue
+        beside = {word for word, names in ONLY_BESIDE.items() if re.search(names, term.name)}
+        for word in set(discontinuities.FILMS_AND_SHAPES) - term.knows:
+            never = any(
+                word in pairs.get(a, ()) or a in pairs.get(word, ()) for a in beside for pairs in (APART, NEVER)
+            )
+            assert never or not any(word in method.knows for method in term.methods), (term.name, word)
+
+
+def test_every_word_that_is_declared_is_in_the_list() -> None:
+    methods = [*psdr.interior.Method.__subclasses__(), *terms.METHODS]
+    declared = [m.knows for m in methods] + [term.knows for term in terms.ALL] + [*APART.values(), *NEVER.values()]
+    assert set().union(*declared, APART, NEVER) <= set(WORDS)
+    assert all(word.what and word.instead for word in WORDS.values())
+    with pytest.raises(KeyError, match="mirors"):
+        words("mirors")
+
+
+@pytest.mark.parametrize("name", ["ball.to_world", "body.grid"])
+def test_the_plan_refuses_what_a_term_does_not_know(name: str) -> None:
+    """Vertex normals beside a grid: the curves where they turn away have no term that knows grids."""
+    values = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), axis=-1), axis=-1)[..., None] - 0.5
+    described = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "to_world": psdr.Transform.translate([0, 0, -4])},
+        "sky": {"type": "constant"},
+        "body": {"type": "sdfgrid", "grid": values.astype(np.float32)},
+        "ball": {"type": "sphere", "center": [2, 0, 0]},
+    }
+    integrator = psdr.PathIntegrator(max_depth=2)
+    with pytest.raises(ValueError, match=r"interpolated normals.*does not know 'body', a 'sdfgrid'.*face_normals"):
+        psdr.plan(psdr.load_dict(described), names=[name], integrator=integrator)
+    described["ball"]["face_normals"] = True
+    assert psdr.plan(psdr.load_dict(described), names=[name], integrator=integrator).boundary is not None

@@ -5,9 +5,6 @@ import pytest
 
 import warp_psdr as psdr
 from tests.sensor import timed
-from warp_psdr.estimate.boundary.terms import ALL, launches
-from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
-from warp_psdr.plan.motion import motion
 
 BINS = {"temporal_bins": 12, "bin_width_opl": 0.25, "start_opl": 5.0, "pulse_width_opl": 0.4}
 SIDEWAYS = np.zeros((4, 4), np.float32)
@@ -119,26 +116,15 @@ def test_the_bins_add_up_to_the_steady_derivative() -> None:
     np.testing.assert_allclose(bins, steady, rtol=1e-3, atol=1e-4 * np.abs(steady).max())
 
 
-def test_terms_without_bins_are_refused() -> None:
-    scene = table(**BINS)
-    plan = psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
-    request = Request(scene, plan, motion(scene, ["card.to_world"]), "forward", 0, 1, 0)
-    known = [term.name for term in ALL if term.timed]
-    assert known == ["primary", "flat_creases", "creases", "secondary"]
-    asked = BoundaryTerm(name="other", title="", stream=0, methods=(), launch=lambda _r: Term(None, list, 1))
-    with pytest.raises(ValueError, match="'other' does not know the time bins"):
-        launches(asked, request)
-
-
 def test_what_is_not_followed_is_refused() -> None:
     def plan(scene, **options):
         integrator = psdr.PathIntegrator(max_depth=3, **options)
         return psdr.plan(scene, names=["card.to_world"], integrator=integrator)
 
     assert plan(table(**BINS)).boundary == psdr.boundary.PathSpace()
-    with pytest.raises(ValueError, match=r"use boundary.PathSpace\(\) without guiding"):
+    with pytest.raises(ValueError, match=r"use boundary.PathSpace\(\)"):
         plan(table(**BINS), boundary=psdr.boundary.Projective())
-    with pytest.raises(ValueError, match=r"use boundary.PathSpace\(\) without guiding"):
+    with pytest.raises(ValueError, match=r"leave out guiding"):
         plan(table(**BINS), boundary=psdr.boundary.PathSpace(guiding=psdr.guiding.KdTree()))
 
 
@@ -153,7 +139,7 @@ def test_the_plan_refuses_what_terms_would(shape: dict, message: str) -> None:
     height = 0.1 if shape["type"] == "cube" else 0.8  # the cube pierces the floor
     pose = psdr.Transform.translate((0.1, 0.1, height)) @ psdr.Transform.scale(0.3)
     scene = table(card={**shape, "to_world": pose, "bsdf": timed.paint(0.4, 0.7, 0.8)}, **BINS)
-    with pytest.raises(ValueError, match=f"derivatives by card.to_world before the 'transient_hdr_film'.*({message})"):
+    with pytest.raises(ValueError, match=f"card.to_world moves silhouettes.*({message}).*'transient_hdr_film'"):
         psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=3))
     alone = psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=3, boundary=None))
     assert alone.boundary is None

@@ -145,11 +145,11 @@ def test_reverse_mode_is_the_transpose(what: str) -> None:
 @pytest.mark.parametrize(
     ("change", "boundary", "problem"),
     [
-        ({}, psdr.boundary.Projective(), "no terms of it"),
+        ({}, psdr.boundary.Projective(), "does not know 'body'"),
         (
             {"bsdf": {"type": "dielectric"}},
             "auto",
-            "'dielectric' of 'body'; give it a 'conductor', as light that",
+            "'dielectric' of 'body'; give it a 'conductor', or make",
         ),
         ({"bsdf": {"type": "plastic"}, "type": "linearcurve"}, "auto", "'plastic' of 'body'; give it a 'conductor'"),
         ({"control_points": tube("crossed"), "curve_starts": [0, 8]}, "auto", "tubes of 'body' run through each other"),

@@ -158,13 +158,13 @@ def textured() -> dict:
 
 STEPS = {"type": "diffuse", "reflectance": {"type": "checkerboard"}}
 REFUSED = {
-    "a point light": ({"light": point()}, {}, "hard shadows"),
+    "a point light": ({"light": point()}, {}, "whose shadows are hard"),
     "a mirror": ({"floor": floor(bsdf={"type": "conductor"})}, {}, "smooth mirror"),
     "a mask": (
         {"floor": floor(bsdf={"type": "mask", "opacity": 0.5, "bsdf": diffuse(0.5)})},
         {"names": [OCCLUDER]}, "mask",
     ),
-    "an exact sphere": ({"other": {"type": "sphere", "exact": True, "to_world": T.translate([0, 0, 9])}}, {}, "no tri"),
+    "an exact sphere": ({"other": {"type": "sphere", "exact": True, "to_world": T.translate([0, 0, 9])}}, {}, "exact"),
     "interpolated normals": ({"occluder": ball((0.1, 0.1, 0.9), 0.4, diffuse(0.5), smooth=True)}, {}, "interpolated"),
     "steps": ({"floor": floor(bsdf=STEPS)}, {}, "steps"),
     "a light with a texture": ({"light": textured()}, {}, "texture"),
@@ -173,7 +173,7 @@ REFUSED = {
         {"occluder": box((0.0, 0.0, 0.3), (0.3, 0.3, 0.3), diffuse(0.5))}, {}, "touch",
     ),
     "the camera moves": ({}, {"names": [OCCLUDER, "sensor.to_world"]}, "camera moves"),
-    "own paths, a point light": ({"light": point()}, {"boundary": OWN_PATHS}, "hard shadows"),
+    "own paths, a point light": ({"light": point()}, {"boundary": OWN_PATHS}, "whose shadows are hard"),
     "another interior": ({}, {"interior": psdr.interior.Radiative()}, "interior.Replay"),
     "no end of paths": ({}, {"max_depth": -1}, "max_depth"),
     "parallel rays": (

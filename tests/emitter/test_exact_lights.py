@@ -282,8 +282,8 @@ def test_interior_methods_and_modes_agree(kind: str, method) -> None:
 @pytest.mark.parametrize(
     ("boundary", "problem"),
     [
-        (psdr.boundary.SignedDistance(), "does not move rays where exact shapes shine"),
-        (psdr.boundary.EdgeSampling(), "has no terms of it"),
+        (psdr.boundary.SignedDistance(), "does not know exact shapes that shine"),
+        (psdr.boundary.EdgeSampling(), "does not know 'shine'"),
     ],
 )
 def test_what_it_does_not_do_is_refused(boundary, problem: str) -> None:

@@ -378,7 +378,7 @@ def plan_of(bsdf, names, **more):
             metal(0.1),
             ["ball.to_world"],
             {"mirror": {"type": "sphere", "radius": 0.1, "bsdf": {"type": "conductor"}}},
-            r"smooth mirrors or glass: .* Use interior\.Replay\(\)",
+            r"smooth mirrors or glass; use interior\.Replay\(\)",
         ),
         (
             {"type": "mask", "nested": {"type": "normalmap", "normalmap": rgb(0.5, 0.5, 1.0), "nested": metal(0.1)}},
@@ -416,5 +416,5 @@ def test_resampled_replays_vertices_that_move_beside_mirrors():
     resampled = integrator(psdr.interior.Resampled())
     plan = psdr.plan(scene, names=["ball.bsdf.alpha.value", "ball.to_world"], integrator=resampled)
     assert len(camera_gradient_kernels(plan, "reverse")) == 2
-    with pytest.raises(ValueError, match=r"smooth mirrors or glass: .* Use interior\.Replay\(\)"):
+    with pytest.raises(ValueError, match=r"smooth mirrors or glass; use interior\.Replay\(\)"):
         psdr.plan(scene, names=["ball.to_world"], integrator=resampled)

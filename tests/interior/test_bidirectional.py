@@ -188,13 +188,13 @@ def test_a_caustic_beside_glossy_metal_has_less_noise_than_by_either_kind_of_pat
 
 def test_what_it_does_not_know_is_refused_by_name():
     scene = psdr.load_dict(IMAGES["masks and a hidden lamp"]())
-    with pytest.raises(ValueError, match=r"hide_emitters takes it away.*interior\.LightTracing"):
+    with pytest.raises(ValueError, match=r"does not know hide_emitters"):
         psdr.plan(scene, integrator=psdr.PathIntegrator(interior=BIDIRECTIONAL, hide_emitters=True))
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     meter = {"type": "radiancemeter", "origin": [0.0, -4.0, 1.5], "direction": [0.0, 1.0, 0.0], "film": film}
     metered = psdr.load_dict({**IMAGES["area"](), "camera": meter})
     integrator = psdr.PathIntegrator(interior=BIDIRECTIONAL, boundary=None)
-    with pytest.raises(ValueError, match=r"interior\.Bidirectional\(\) joins points to a film.*Replay"):
+    with pytest.raises(ValueError, match=r"interior\.Bidirectional\(\) does not know a .radiancemeter.*Replay"):
         psdr.plan(metered, integrator=integrator)
     glass = psdr.load_dict(ROOMS["matte.bsdf.specular_transmittance.value"]())
     for name in ("floor.vertex_positions", "camera.to_world", "matte.bsdf.eta"):

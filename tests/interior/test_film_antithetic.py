@@ -209,7 +209,7 @@ def refused(scene, names, said, method=None):
     ("scene", "said"),
     [
         (lit_by_ceiling(border=False), "sample_border=true"),
-        (lit_by_point() | {"walls": walls(range(6), bsdf={"type": "conductor"})}, "mirrors, glass and masks"),
+        (lit_by_point() | {"walls": walls(range(6), bsdf={"type": "conductor"})}, "smooth mirrors and glass"),
     ],
     ids=["cut filters", "mirrors"],
 )

@@ -99,5 +99,5 @@ def test_it_has_the_mean_of_replay_for_moving_shapes():
 def test_moving_shapes_behind_mirrors_are_refused():
     scene, params = load("mirror")
     params.requires_grad_only("room.vertex_positions")
-    with pytest.raises(ValueError, match=r"interior\.Radiative\(\) cannot.*Use interior\.Replay\(\)"):
+    with pytest.raises(ValueError, match=r"interior\.Radiative\(\) does not know.*use interior\.Replay\(\)"):
         psdr.plan(scene, params, integrator=integrator(3))

@@ -201,7 +201,7 @@ def test_what_it_does_not_draw_is_refused_by_name():
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     meter = {"type": "radiancemeter", "origin": [0.0, -4.0, 1.5], "direction": [0.0, 1.0, 0.0], "film": film}
     scene = psdr.load_dict({**ROOMS["area"](), "camera": meter})
-    with pytest.raises(ValueError, match=r"joins points to a film.*'irradiancemeter'.*the one ray.*Replay"):
+    with pytest.raises(ValueError, match=r"one ray.*Replay"):
         psdr.render(scene, integrator="ptracer", spp=1)
     scene = psdr.load_dict(ROOMS["box filter"]())
     for block in (0, 65, True):

@@ -31,17 +31,23 @@ def test_a_glass_ball_in_a_furnace_is_nearly_invisible() -> None:
 @pytest.mark.parametrize(
     ("more", "boundary", "words"),
     [
-        ({}, psdr.boundary.EdgeSampling(), "looks for what moves in front of surfaces alone; use boundary.PathSpace"),
-        ({"exact": {"type": "sphere", "exact": True, "center": [5, 0, 0]}}, "auto", "give them triangles"),
+        (
+            {},
+            psdr.boundary.EdgeSampling(),
+            "does not know the smooth lobe behind the surface of a 'roughdielectric'; use boundary.PathSpace",
+        ),
+        (
+            {"exact": {"type": "sphere", "exact": True, "center": [5, 0, 0]}},
+            "auto",
+            "not known together; leave out 'exact'",
+        ),
     ],
 )
 def test_a_boundary_term_is_refused_by_name(more: dict, boundary, words: str) -> None:
     loaded = psdr.load_dict(scene() | more)
     params = psdr.traverse(loaded)
     params.requires_grad_only("ball.to_world")
-    with pytest.raises(
-        ValueError, match=rf"'roughdielectric' lets light through in a smooth lobe.*{words}.*boundary=None"
-    ):
+    with pytest.raises(ValueError, match=f"{words}.*boundary=None"):
         psdr.plan(loaded, params, integrator=psdr.PathIntegrator(boundary=boundary, max_depth=4))
     params.requires_grad_only("ball.bsdf.*", "sky.radiance.value")
     psdr.plan(loaded, params)

@@ -149,7 +149,7 @@ def test_parameters_and_updates() -> None:
 
 def test_other_ways_are_refused() -> None:
     held = psdr.load_dict(described())
-    with pytest.raises(ValueError, match=r"paths from the lights do not meet it; use interior.Replay\(\)"):
+    with pytest.raises(ValueError, match=r"does not know 'body', a 'bsplinecurve'; use interior.Replay\(\)"):
         psdr.plan(held, integrator=psdr.PathIntegrator(interior=interior.LightTracing()))
 
 

@@ -193,7 +193,7 @@ def test_parameters_plan_and_updates() -> None:
 def test_what_moves_beside_it(name: str) -> None:
     held = psdr.load_dict(described())
     for form in (boundary.Projective(), boundary.EdgeSampling()):
-        with pytest.raises(ValueError, match=r"'body' is a 'neuralsdf', and .*boundary=None.*'sdfgrid'"):
+        with pytest.raises(ValueError, match=r"does not know 'body', a 'neuralsdf'; .*'sdfgrid'.*boundary=None"):
             psdr.plan(held, integrator=psdr.PathIntegrator(boundary=form), names=[name])
     psdr.plan(held, integrator=psdr.PathIntegrator(boundary=None), names=[name])
     for method in (interior.Textbook(), interior.Radiative(), interior.LightTracing()):

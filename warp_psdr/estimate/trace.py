@@ -23,8 +23,8 @@ from warp_psdr.kernels.trace import make_media_trace_kernel, make_trace_kernel
 from warp_psdr.kernels.vertex import PathVertex
 from warp_psdr.options import interior
 from warp_psdr.options.integrator import Integrator, PathIntegrator
-from warp_psdr.plan import media
 from warp_psdr.plan.integrator import integrator_of
+from warp_psdr.plan.motion import moves_in_media
 from warp_psdr.plan.plan import decide
 from warp_psdr.scene.kinds.records import position_of
 from warp_psdr.scene.loaded import check_loaded
@@ -211,7 +211,7 @@ def _media_kernel(plan: Plan, integrator: PathIntegrator, kind: str, filter_kind
     assert config.media is not None
     if kind == "image":
         return make_media_trace_kernel(config, False, False, True, filter_kind)
-    moves = wanted is not None and media.moves(wanted)
+    moves = wanted is not None and moves_in_media(wanted)
     explores = config.media.grids if moves else wanted is not None and explores_density(wanted)
     clocked = not isinstance(integrator.interior, interior.DifferentialRatioTracking)
     return make_media_trace_kernel(config, True, explores, clocked, filter_kind)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from abc import ABC
 from dataclasses import dataclass, field, fields, replace
-from typing import Self
+from typing import ClassVar, Self
 
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import MAX_SPLIT
 from warp_psdr.options import guiding as guiding_methods
+from warp_psdr.options.words import COMMON, MEDIA, SOLIDS, words
 
 #: Candidates without the hierarchies: [LADL18] take 64; more than 1024 cost more than they tell.
 DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
@@ -15,6 +16,8 @@ DEFAULT_CANDIDATES, MAX_CANDIDATES = 64, 1024
 MAX_RAYS, KAPPA_RANGE = 1024, (10.0, 1.0e5)
 #: Range of the deviation of a kernel on the film [pixels].
 SIGMA_RANGE = (0.05, 4.0)
+#: What methods know that connect edges to the camera.
+_FROM_EDGES = COMMON - words("radiancemeter", "irradiancemeter") | words("moving_mirrors") | MEDIA
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,7 +28,10 @@ class Method(ABC):  # noqa: B024
         spp_primary: samples of the edges that the camera sees, a pixel; None: as many as the interior term's.
         spp_secondary: samples of shadow edges and their like, a pixel; None: as many as the interior term's. Some terms
             of grids, networks and curves take shares of these two (``docs/theory/implicit.md#shares-of-the-samples``).
+        knows: words (``options/words.py``) of what it copes with where something moves.
     """
+
+    knows: ClassVar[frozenset[str]] = frozenset()
 
     spp_primary: int | None = None
     spp_secondary: int | None = None
@@ -110,6 +116,8 @@ class PathSpace(Connecting):
             many as the interior term's.
     """
 
+    knows: ClassVar[frozenset[str]] = _FROM_EDGES | SOLIDS | words("transient", "material_first")
+
 
 @dataclass(frozen=True, kw_only=True)
 class EdgeSampling(Method):
@@ -125,6 +133,8 @@ class EdgeSampling(Method):
         tree: choose edges by hierarchies over position and face planes; otherwise by length and angle alone.
         candidates: edges that are resampled for each sample; None: 16 with the hierarchies, else 64.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON - words("mirrors", "rough_glass", "irradiancemeter") | MEDIA
 
     tree: bool = True
     candidates: int | None = None
@@ -165,6 +175,8 @@ class Projective(Connecting):
         paths: camera paths whose segments are projected, for each kind of them.
         spp_mirrors: as of ``PathSpace``.
     """
+
+    knows: ClassVar[frozenset[str]] = _FROM_EDGES | words("material_points")
 
     guiding: guiding_methods.Method | None = field(default_factory=guiding_methods.Octree)
     paths: int = 1 << 16
@@ -213,6 +225,8 @@ class Distances(Reparametrised):
             factor k, need 1 / k at most. Networks are divided by a bound of their slope before.
     """
 
+    knows: ClassVar[frozenset[str]] = SOLIDS | words("turned_normals", "far_lights", "hide_emitters", "hidden_lights")
+
     max_steps: int | None = None
     step_scale: float = 1.0
 
@@ -258,6 +272,8 @@ class AuxiliaryRays(Method):
         rays: auxiliary rays about each ray.
         kappa: their concentration: they count up to an angle of some kappa^-1/2 radians.
     """
+
+    knows: ClassVar[frozenset[str]] = words("far_lights", "hide_emitters", "hidden_lights")
 
     rays: int = 16
     kappa: float = 1000.0

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from warp_psdr.options import combinations
+from warp_psdr.options.words import COMMON, MEDIA, SOLIDS, words
 
 
 class Method:
-    """Base of all methods: a way to estimate the interior term."""
+    """Base of all methods: a way to estimate the interior term.
+
+    Attributes:
+        knows: words (``options/words.py``) of what it copes with.
+    """
+
+    knows: ClassVar[frozenset[str]] = frozenset()
 
 
 def _check_block(block: int, instead_of_zero: str) -> None:
@@ -36,6 +44,8 @@ class Replay(Method):
             boundary term. Both are unbiased. "normal" refuses curves, and shapes whose normals are not continuous
             (linear grids) (``docs/theory/implicit.md#normal-flow``). All other shapes have material points.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | MEDIA | SOLIDS | words("moving_mirrors", "transient")
 
     block: int = 8
     flow: str = "ray"
@@ -65,6 +75,8 @@ class LightTracing(Method):
     Attributes:
         block: K, as of ``Replay``.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON - words("radiancemeter") | words("moving_mirrors")
 
     block: int = 8
 
@@ -97,6 +109,8 @@ class Bidirectional(Method):
             at most 16 vertices.
         block: K, as of ``Replay``; with "all" the whole path is kept.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON - words("radiancemeter", "hide_emitters") | words("moving_mirrors")
 
     connections: str = "light"
     block: int = 8
@@ -134,6 +148,8 @@ class Resampled(Method):
         candidates: number of directions, and of light points, that are compared where a path branches; a square.
     """
 
+    knows: ClassVar[frozenset[str]] = COMMON | words("media", "moving_mirrors")
+
     candidates: int = 16
 
     def __post_init__(self) -> None:
@@ -164,6 +180,8 @@ class Attached(Method):
         weights: weights of multiple importance sampling: "detached", "attached", or "position": attached through the
             moving direction alone.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | words("moving_mirrors")
 
     bsdf: str = "detached"
     emitter: str = "detached"
@@ -216,6 +234,8 @@ class Decomposed(Method):
     rest.
     """
 
+    knows: ClassVar[frozenset[str]] = COMMON | words("media", "moving_mirrors")
+
 
 @dataclass(frozen=True, kw_only=True)
 class Antithetic(Method):
@@ -227,6 +247,8 @@ class Antithetic(Method):
     vertices beside smooth mirrors or glass.
     """
 
+    knows: ClassVar[frozenset[str]] = COMMON
+
 
 @dataclass(frozen=True, kw_only=True)
 class Branches(Method):
@@ -236,6 +258,8 @@ class Branches(Method):
         shapes: "resampled" or "decomposed": shapes of lobes are ``Resampled()``'s or ``Decomposed()``'s; "": replayed.
         normals: "antithetic" or "resampled": normals are ``Antithetic()``'s or ``Resampled()``'s; "": replayed.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | words("moving_mirrors")
 
     shapes: str = ""
     normals: str = ""
@@ -252,6 +276,8 @@ class DifferentialRatioTracking(Method):
     Attributes:
         block: K, as of ``Replay``.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | words("media")
 
     block: int = 8
 
@@ -277,6 +303,8 @@ class RadiativeTransfer(Method):
         edges: sample the edges that path vertices see; False leaves them out.
         block: K, as of ``Replay``.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | words("media", "moving_media")
 
     edges: bool = True
     block: int = 8
@@ -305,6 +333,10 @@ class FilmAntithetic(Method):
         mirrored: draw film points in fours; False draws them one by one, for comparison.
     """
 
+    knows: ClassVar[frozenset[str]] = words(
+        *("vertex_normals", "rough_glass", "turned_normals", "steps", "point_lights", "far_lights", "hide_emitters")
+    )
+
     mirrored: bool = True
 
 
@@ -317,6 +349,10 @@ class Textbook(Method):
     (``kernels/interior/media_textbook.py``), where it loses what a density or an albedo of zero would scatter.
     """
 
+    knows: ClassVar[frozenset[str]] = (
+        COMMON | SOLIDS - words("moving_slides") | MEDIA - words("moving_media", "density_grids")
+    )
+
 
 @dataclass(frozen=True, kw_only=True)
 class Radiative(Method):
@@ -328,5 +364,7 @@ class Radiative(Method):
     Attributes:
         linear: set that light to 1, which costs no further paths and is biased.
     """
+
+    knows: ClassVar[frozenset[str]] = COMMON | SOLIDS - words("moving_slides")
 
     linear: bool = False

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -18,6 +17,7 @@ from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit
 from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.kernels.medium.coefficients import PHASE
 from warp_psdr.options import interior
+from warp_psdr.options.words import WORDS
 from warp_psdr.plan.replay import Kept, keep_blocks, replayed, without
 
 if TYPE_CHECKING:
@@ -176,8 +176,9 @@ def refused_by_tilts(name: str, config: PathConfig, wanted: GradientRequest) -> 
     """Return why no two directions are drawn by how normals turn; empty: they are."""
     if not turns_normals(config, wanted):
         return f"{name}: no parameter that is requested turns the normals of glossy surfaces. Use interior.Replay()"
-    if refused := refused_in_path_order(name)(config, wanted):
-        return refused
+    if wanted.geometry and has_delta_lobes(config.bsdfs):
+        what, instead = WORDS["moving_mirrors"]
+        return f"{name} does not know {what}; use interior.Replay(), or {instead}"
     return _refused_behind_null(name, config)
 
 
@@ -226,20 +227,6 @@ def _refused_in_media(name: str, config: PathConfig, wanted: GradientRequest) ->
             "interior.Replay()"
         )
     return ""
-
-
-def refused_in_path_order(name: str) -> Callable[[PathConfig, GradientRequest], str]:
-    """Return what refuses moving vertices behind mirrors and glass."""
-
-    def refuse(config: PathConfig, wanted: GradientRequest) -> str:
-        if wanted.geometry and has_delta_lobes(config.bsdfs):
-            return (
-                f"{name} cannot differentiate moving vertices behind smooth mirrors or glass: the adjoint of "
-                "a ray has to be carried backwards. Use interior.Replay()"
-            )
-        return ""
-
-    return refuse
 
 
 def drawn_by_choice(config: PathConfig, wanted: GradientRequest) -> GradientRequest:

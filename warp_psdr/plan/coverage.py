@@ -9,11 +9,14 @@ import numpy as np
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, passing
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
-from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
+from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
+from warp_psdr.plan import discontinuities, media, primitives, reparametrised
+from warp_psdr.plan.discontinuities import Asked
 from warp_psdr.plan.motion import Motion, motion
+from warp_psdr.plan.needs import has_steps, needs, unknown_to_boundary
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.scene.volume_pose import of
@@ -21,15 +24,15 @@ from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.structs import Emitter, Texture
+    from warp_psdr.kernels.structs import Emitter
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
-REMEDY = "say PathIntegrator(boundary=None) to get the interior term alone"
 
-
-def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple) -> Method:
+def choose(
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple, sensor: int
+) -> Method:
     """Return the method that estimates the boundary term of the named parameters.
 
     Args:
@@ -38,73 +41,42 @@ def choose(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: 
         integrator: names the method, or "auto".
         names: what is differentiated.
         moving: which discontinuities move, in words.
+        sensor: before which camera.
 
     Raises:
         ValueError: no method covers the case.
     """
     by_itself: Method = EdgeSampling() if config.camera == c.CAMERA_RADIANCEMETER else PathSpace()
     method = integrator.boundary if isinstance(integrator.boundary, Method) else by_itself
+    needed, depth = needs(scene, config, None), integrator.max_depth
     reason = (
-        _beyond(method, config)
-        or _behind_rough(method, config)
-        or _metered(scene, method, config, integrator.max_depth)
-        or _uncovered(scene, config, names, integrator.max_depth)
+        unknown_to_boundary(method, needed)
+        or _metered(scene, config, depth)
+        or media.refused(scene, config, names)
+        or primitives.refused(scene, config, integrator, names)
+        or _uncovered(scene, config, names, depth)
+        or discontinuities.unknown(Asked(scene, config, motion(scene, names), sensor, depth), method, needed)
+        or reparametrised.refused(scene, config, integrator, method, names, sensor)
     )
     if reason:
         raise ValueError(
             f"the requested gradient has a boundary term ({'; '.join(moving)}), which {method.label}() cannot "
-            f"estimate here: {reason}; {REMEDY}"
+            f"estimate here: {reason}; or say PathIntegrator(boundary=None) to get the interior term alone"
         )
     return method
 
 
-def _beyond(method: Method, config: PathConfig) -> str:
-    """Say what this method leaves to others; empty: nothing."""
-    if config.material_first and type(method) is not PathSpace:
-        return "it does not know first vertices that stay on surfaces; use boundary.PathSpace(), or interior.Replay()"
-    if config.pulse and (type(method) is not PathSpace or method.guiding is not None):
-        return "it does not know the time bins of a 'transient_hdr_film'; use boundary.PathSpace() without guiding"
-    if isinstance(method, EdgeSampling) and config.media is None and has_delta_lobes(config.bsdfs):
-        return "it does not follow edges through smooth mirrors or glass; use boundary.PathSpace()"
-    return ""
+def _metered(scene: Scene, config: PathConfig, max_depth: int) -> str:
+    """Say what keeps a radiance meter from a boundary term; empty: nothing.
 
-
-def _behind_rough(method: Method, config: PathConfig) -> str:
-    """Say what is not estimated beside smooth lobes behind surfaces, as rough glass has them; empty: nothing.
-
-    Segments of paths end on either side of such a surface (``docs/theory/boundary.md#rough-glass``).
+    It has one ray: what moves across it has measure zero, and what is left are the edges that vertices of its paths
+    see.
     """
-    rough = passing(config.bsdfs)
-    if not rough:
+    if config.camera != c.CAMERA_RADIANCEMETER or max_depth == 2:
         return ""
-    what = f"a {rough!r} lets light through in a smooth lobe, "
-    if not isinstance(method, (PathSpace, Projective)):
-        return f"{what}and it looks for what moves in front of surfaces alone; use boundary.PathSpace()"
-    if config.media is not None or config.pulse:
-        where = "beside participating media" if config.media is not None else "before a 'transient_hdr_film'"
-        return f"{what}which is not followed {where}; use a 'dielectric'"
-    if config.primitives:
-        return f"{what}which is not followed beside shapes without triangles; give them triangles"
-    return ""
-
-
-def _metered(scene: Scene, method: Method, config: PathConfig, max_depth: int) -> str:
-    """Say what keeps a sensor of one pixel from a boundary term; empty: nothing.
-
-    A radiance meter has one ray: what moves across it has measure zero, and what is left are the edges that vertices of
-    its paths see. No edge can be connected to it.
-    """
-    if config.camera == c.CAMERA_IRRADIANCEMETER:
-        return "what moves before an irradiancemeter is not sampled; watch the shape with a camera instead"
-    if config.camera != c.CAMERA_RADIANCEMETER:
-        return ""
-    if not isinstance(method, EdgeSampling):
-        return "no edge can be connected to the one ray of a radiancemeter; use boundary.EdgeSampling()"
-    if config.smooth and not scene.shades_flat:
-        return "before a radiancemeter, interpolated normals are not covered; give face_normals or a narrow camera"
-    if max_depth != 2 and set(config.lights) & c.DELTA_LIGHTS:
+    if set(config.lights) & c.DELTA_LIGHTS:
         return "before a radiancemeter, hard shadows are not covered beyond max_depth=2; use a narrow camera"
-    if max_depth != 2 and len(scene_curves(scene).length):
+    if len(scene_curves(scene).length):
         return "before a radiancemeter, shapes that run through each other are not covered; use a narrow camera"
     return ""
 
@@ -150,10 +122,6 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
                 f"shape {crowded[0][0]!r}, a {crowded[0][1]!r}, scatters smoothly, reflects as a mirror and lets light "
                 "pass, and discontinuities are searched through two of these; split it up"
             )
-    if config.pulse and (config.primitives or has_delta_lobes(config.bsdfs)):
-        return (
-            "before a 'transient_hdr_film' edges are followed among meshes, and not by mirrors, glass or exact shapes"
-        )
     if any(slides_steps(scene, name) for name in names):
         return "a texture with steps slides; use a bilinear bitmap, a trilinear volume or a vertex attribute"
     steps = _moving_steps(scene, config, motion(scene, names))
@@ -173,13 +141,6 @@ def _in_many_faces(scene: Scene, names: list[str]) -> str:
         return ""
     a, b = (scene.description.shapes[i].path for i in pair)
     return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
-
-
-def has_steps(texture: Texture) -> bool:
-    """Whether a texture jumps inside of triangles."""
-    return texture.kind == c.TEXTURE_CHECKERBOARD or (
-        texture.kind in (c.TEXTURE_BITMAP, c.TEXTURE_GRID) and texture.filter == c.FILTER_NEAREST
-    )
 
 
 def slides_steps(scene: Scene, name: str) -> bool:

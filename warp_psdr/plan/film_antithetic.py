@@ -4,40 +4,18 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
-from warp_psdr.kernels.constants import CAMERA_PERSPECTIVE, RFILTER_BOX
+from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.options import interior
 from warp_psdr.scene.layout import CAMERA, LIGHT_RADIANCE, MATERIAL, POSITIONS, RADIANCE, SHAPE_POSE
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 from warp_psdr.topology.outlook import is_room_around
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
-    from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
 NAME = "interior.FilmAntithetic()"
-INSTEAD = "use interior.Replay()"
 #: Radius of a box that covers its own pixel and no other.
 OWN_PIXEL = 0.5
-
-
-def refused_by_film_antithetic(config: PathConfig, _wanted: GradientRequest) -> str:
-    """Return why mirrored film points cannot estimate what a kernel compiles; empty: they can."""
-    if config.camera != CAMERA_PERSPECTIVE:
-        return f"{NAME} projects points by a 'perspective' camera; take one, or {INSTEAD}"
-    if has_delta_lobes(config.bsdfs):
-        return (
-            f"{NAME} has no boundary term for the edges that mirrors, glass and masks show moving; take rough ones, or "
-            f"{INSTEAD}"
-        )
-    if config.media is not None:
-        return f"{NAME} knows no first vertices in participating media; {INSTEAD}"
-    if config.primitives:
-        return f"{NAME} follows points of triangles alone; give the exact shapes triangles, or {INSTEAD}"
-    if config.hidden:
-        return f"{NAME} counts the light that the camera sees; leave out hide_emitters, or {INSTEAD}"
-    return ""
 
 
 def refused_on_the_film(_method: interior.Method, scene: Scene, _names: list[str], sensor: int) -> str:
@@ -47,7 +25,7 @@ def refused_on_the_film(_method: interior.Method, scene: Scene, _names: list[str
     if not (camera.sample_border or own):
         return (
             f"{NAME} needs whole pixel filters, and those at the border of the film end there: give the film "
-            f"sample_border=true, or {INSTEAD}"
+            f"sample_border=true, or use interior.Replay()"
         )
     return ""
 

@@ -28,7 +28,6 @@ from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
 from warp_psdr.options import boundary, interior
-from warp_psdr.plan import media
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.branches import (
     beside_branches,
@@ -46,10 +45,10 @@ from warp_psdr.plan.branches import (
     refused_by_antithetic,
     refused_by_decomposed,
     refused_by_resampled,
-    refused_in_path_order,
 )
-from warp_psdr.plan.film_antithetic import refused_by_film_antithetic, refused_on_the_film, sees_a_room
+from warp_psdr.plan.film_antithetic import refused_on_the_film, sees_a_room
 from warp_psdr.plan.light import refused_by_bidirectional
+from warp_psdr.plan.motion import moves_in_media
 from warp_psdr.plan.reparametrised import make_reparametrised
 from warp_psdr.plan.replay import (
     MOST_KEPT,
@@ -118,13 +117,13 @@ def _keep_transfer(method: interior.Method, max_depth: int, rr_depth: int) -> Ke
 
 
 def _make_transfer(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    if not media.moves(wanted):
+    if not moves_in_media(wanted):
         return make_replay(config, wanted, role, kept)
     return make_transfer_kernel(config, moved_request(wanted), role, kept.block, kept.longest, kept.sees_edges)
 
 
 def _read_by_transfer(scene: Scene, wanted: GradientRequest, kept: Kept) -> list:
-    if not media.moves(wanted):
+    if not moves_in_media(wanted):
         return []
     return [sphere_edges(scene) if kept.sees_edges else Edges()]
 
@@ -285,7 +284,6 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="mirrored film points",
         keep=_keep_whole_path,
         make=_make_film_antithetic,
-        refuse=refused_by_film_antithetic,
         refuse_in=refused_on_the_film,
         beside=_make_beside_film,
         whole_in=sees_a_room,
@@ -295,13 +293,11 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="textbook replay",
         keep=_keep_textbook,
         make=_make_textbook,
-        refuse=refused_in_path_order("interior.Textbook(), textbook replay,"),
     ),
     (interior.Radiative, boundary.Method): Row(
         label="radiative backpropagation",
         keep=_keep_radiative,
         make=_make_radiative,
-        refuse=refused_in_path_order("interior.Radiative()"),
     ),
     (interior.LightTracing, boundary.Method): Row(
         label="light tracing",

@@ -97,19 +97,9 @@ def passes(
         ValueError: no point can be joined to the sensor, lights are hidden, paths are too long to be kept, or what is
             requested moves vertices in a way that is not differentiated.
     """
-    name, max_depth = type(method).__name__, integrator.max_depth
-    if config.camera == CAMERA_RADIANCEMETER:
-        raise ValueError(
-            f"interior.{name}() joins points to a film, or to the shape of an 'irradiancemeter'; the one ray of a "
-            "'radiancemeter' meets none of them. Use interior.Replay()"
-        )
+    max_depth = integrator.max_depth
     joins = config.scatter and samples_lights(config)
     if isinstance(method, interior.Bidirectional):
-        if config.hide_emitters:
-            raise ValueError(
-                "interior.Bidirectional() weighs the light that the camera sees against that which it does not, and "
-                "hide_emitters takes it away; leave hide_emitters out, or use interior.LightTracing()"
-            )
         if not joins:
             return LightTracing(method, config, config, wanted, joins)
         both = replace(config, connections=method.connections)

@@ -9,11 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
-from warp_psdr.kernels.phase.microflakes import has_flakes
-from warp_psdr.options import interior
-from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
-from warp_psdr.options.guiding import Grid
-from warp_psdr.plan.motion import motion
+from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.topology.absent import absent_shapes
@@ -23,7 +19,6 @@ from warp_psdr.topology.interpolated_normals import interpolated_faces
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
-    from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene
 
 #: What of a medium is differentiated.
@@ -84,69 +79,10 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
     return lines
 
 
-def refuse(
-    scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest | None, names: list[str]
-) -> None:
-    """Refuse what there is not in scenes with media: other methods, and some derivatives by what moves.
-
-    Raises:
-        ValueError: with what to do instead.
-    """
-    if config.media is None:
-        return
-    replays = (interior.Replay, interior.Textbook)
-    known = (
-        *replays,
-        interior.DifferentialRatioTracking,
-        interior.RadiativeTransfer,
-        interior.Resampled,
-        interior.Decomposed,
-    )
-    if type(method) not in known and (names or isinstance(method, interior.FROM_LIGHTS)):
-        raise ValueError(
-            f"interior.{type(method).__name__}() does not know participating media; use interior.Replay(), or leave "
-            "them out"
-        )
-    if has_flakes(config.media.phases) and type(method) not in replays and names:
-        raise ValueError(
-            f"interior.{type(method).__name__}() does not know 'sggx', whose extinction varies with direction; use "
-            "interior.Replay()"
-        )
-    if c.PHASE_BLEND_GRID in config.media.phases and type(method) not in replays and names:
-        raise ValueError(
-            f"interior.{type(method).__name__}() does not know a 'blendphase' whose weight is a grid; use "
-            "interior.Replay(), or give it one weight"
-        )
-    if config.media.emissive and type(method) not in replays and names:
-        raise ValueError(
-            f"interior.{type(method).__name__}() does not know media that emit light; use interior.Replay(), or leave "
-            "'emission' out"
-        )
-    if wanted is not None and moves(wanted):
-        reason = _beside_motion(scene, config, method, wanted)
-        if reason:
-            raise ValueError(
-                f"derivatives by {', '.join(names)}: path vertices, lights or directions move, and {reason}"
-            )
-
-
-def moves(wanted: GradientRequest) -> bool:
-    """Whether path vertices, lights, directions or grids move."""
-    return wanted.geometry or "pose" in wanted.lights or POSE in wanted.media
-
-
-def _beside_motion(scene: Scene, config: PathConfig, method: interior.Method, wanted: GradientRequest) -> str:
+def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> str:
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
-    if type(method) is interior.Textbook:
-        return (
-            "interior.Textbook() meets the vertices in the order of the path, while those in media ride on what lies "
-            "behind them; use interior.Replay()"
-        )
-    if type(method) not in (interior.Replay, interior.RadiativeTransfer):
-        return f"interior.{type(method).__name__}() does not follow that through media; use interior.Replay()"
-    assert config.media is not None
-    if config.media.grids and type(method) is interior.RadiativeTransfer:
-        return "interior.RadiativeTransfer() does not follow that through 'heterogeneous' media; use interior.Replay()"
+    if config.media is None or wanted is None or not moves_in_media(wanted):
+        return ""
     flakes = _microflakes(scene)
     if flakes:
         return f"that is not followed through {flakes}"
@@ -199,40 +135,10 @@ def _stepped_grid(scene: Scene) -> str:
     return ""
 
 
-def refuse_boundary(
-    scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], moving: tuple[str, ...]
-) -> None:
-    """Refuse what of the boundary term is not estimated in a scene with media.
-
-    Raises:
-        ValueError: with what to do instead.
-    """
-    whole = isinstance(integrator.interior, interior.RadiativeTransfer)
-    if config.media is None or not moving or integrator.boundary is None or whole:
-        return
-    reason = _beyond(scene, config, integrator, names)
-    if reason:
-        raise ValueError(
-            f"{'; '.join(moving)}: in a scene with participating media that has a boundary term, and {reason}; or say "
-            "PathIntegrator(boundary=None) to get the interior term alone, which is whole where nothing that moves "
-            "hides anything"
-        )
-
-
-def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
-    """Say what keeps the boundary term from being estimated; empty: nothing."""
-    method = integrator.boundary
-    if isinstance(method, Method) and type(method) not in (PathSpace, Projective, EdgeSampling):
-        return f"{method.label}() does not know media; use boundary.PathSpace()"
-    if isinstance(getattr(method, "guiding", None), Grid):
-        return (
-            "guiding.Grid() follows photons and importons on surfaces, not in media; use guiding.KdTree() or "
-            "guiding.Octree()"
-        )
-    if config.camera in c.METERS or config.camera == c.CAMERA_ORTHOGRAPHIC:
-        return "it is not estimated before parallel rays and sensors of one pixel; use a perspective camera"
-    if config.hidden:
-        return "hide_emitters is not known to it; show the lights"
+def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
+    """Say what of a scene keeps the boundary term from being estimated; empty: nothing."""
+    if config.media is None:
+        return ""
     moves = motion(scene, names)
     absent = absent_shapes(scene)
     bent = [
@@ -243,11 +149,9 @@ def _beyond(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
         and interpolated_faces(scene)[scene.builder.face_shape == i].any()
     ]
     if bent:
-        return f"it does not know interpolated normals, as {bent[0]!r} has; give face_normals"
+        return f"beside media interpolated normals are not known, as {bent[0]!r} has; give face_normals"
     met = joined(scene)
-    if met:
-        return f"{met}; move them apart, by a little"
-    return ""
+    return f"{met}; move them apart, by a little" if met else ""
 
 
 def moves_media_alone(scene: Scene, name: str) -> bool:

@@ -12,6 +12,7 @@ from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
+    from warp_psdr.kernels.interior.gradient_request import GradientRequest
     from warp_psdr.scene.scene import Scene
 
 
@@ -52,6 +53,11 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         grids=any(MEDIUM + POSE in use for use, _owner in uses),
         values=any(SHAPE_GRID in use for use, _owner in uses),
     )
+
+
+def moves_in_media(wanted: GradientRequest) -> bool:
+    """Whether path vertices, lights, directions or grids of media move."""
+    return wanted.geometry or "pose" in wanted.lights or POSE in wanted.media
 
 
 def moving_shapes(scene: Scene, moves: Motion) -> wp.array:

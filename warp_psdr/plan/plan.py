@@ -19,7 +19,7 @@ from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, primitives, properties, reparametrised, transient
+from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, reparametrised, transient
 from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
@@ -125,10 +125,12 @@ def decide(
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
-    media.refuse(scene, config, method, wanted, names)
-    transient.refuse(scene, config, integrator, method, wanted, names, sensor)
-    refuse_own_shape(scene, sensor, names)
     properties.refuse(scene, config, names, sensor)
+    needs.refuse(method, needs.needs(scene, config, wanted), names)
+    reason = media.beside_motion(scene, config, wanted) or transient.refused(config, integrator, wanted)
+    if reason:
+        raise ValueError(f"derivatives by {', '.join(names)}: {reason}")
+    refuse_own_shape(scene, sensor, names)
     if not names:
         lines.append(("derivatives", "none", "no parameter is requested"))
     if wanted is not None:
@@ -138,8 +140,6 @@ def decide(
         if any(model.framed for model in models_of(config.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
-    media.refuse_boundary(scene, config, integrator, names, moving)
-    primitives.refuse(scene, config, integrator, wanted, names, moving)
     if wanted is not None:
         asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
         if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
@@ -234,9 +234,7 @@ def _boundary(
         return None, [("boundary term", "none", whole)]
     if integrator.boundary is None:
         return None, [("boundary term", "left out", "boundary=None was said, although " + "; ".join(moving))]
-    term = choose(scene, config, integrator, names, moving)
-    transient.refuse_boundary(scene, config, integrator, names, sensor)
-    reparametrised.refuse(scene, config, integrator, term, names, sensor)
+    term = choose(scene, config, integrator, names, moving, sensor)
     reparametrised.prepare(scene, term)
     lines = [("boundary term", term.label, "; ".join(moving))]
     repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)

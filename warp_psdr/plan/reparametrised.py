@@ -23,7 +23,6 @@ from warp_psdr.kernels.primitive.kind import FLOWS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, Reparametrised
 from warp_psdr.plan import warped_area
-from warp_psdr.plan.coverage import REMEDY, has_steps
 from warp_psdr.plan.motion import motion
 from warp_psdr.scene.kinds.neuralsdf import Network, bound_slopes, network_and_cells
 from warp_psdr.scene.kinds.zero_set import CORNERS, ZeroSet
@@ -78,33 +77,21 @@ def describe(method: Method) -> list[tuple[str, str, str]]:
     return [("silhouettes", "rays move with them", f"steps of sphere tracing: {steps}")]
 
 
-def refuse(
-    scene: Scene,
-    config: PathConfig,
-    integrator: PathIntegrator,
-    method: Method,
-    names: list[str],
-    sensor: int,
-) -> None:
-    """Raise where rays that move are not right; nothing is asked of other methods.
-
-    Raises:
-        ValueError: with the reason, and what to do.
-    """
+def refused(
+    scene: Scene, config: PathConfig, integrator: PathIntegrator, method: Method, names: list[str], sensor: int
+) -> str:
+    """Say why rays that move are not right; empty: they are, or they stay."""
     if isinstance(method, AuxiliaryRays):
-        reason = warped_area.refused(scene, config, integrator, method, names, sensor)
-    elif isinstance(method, Distances):
-        reason = (
-            _of_request(scene, config, integrator, names)
-            or _of_camera(scene, config, sensor)
-            or _of_light(scene, config)
-            or _of_film(scene, config, sensor)
-            or _of_shadows(scene, config)
-        )
-    else:
-        return
-    if reason:
-        raise ValueError(f"{method.label}() cannot move its rays here: {reason}; or {REMEDY}")
+        return warped_area.refused(scene, config, integrator, method, names, sensor)
+    if not isinstance(method, Distances):
+        return ""
+    return (
+        _of_request(scene, config, integrator, names)
+        or _of_camera(scene, config, sensor)
+        or _of_light(scene, config)
+        or _of_film(scene, config, sensor)
+        or _of_shadows(scene, config)
+    )
 
 
 def prepare(scene: Scene, method: Method) -> None:
@@ -181,8 +168,6 @@ def _heights(scene: Scene, shape: int, at: np.ndarray, normal: np.ndarray) -> tu
 
 def _of_camera(scene: Scene, config: PathConfig, sensor: int) -> str:
     """Say why a camera's rays cannot move; empty: they can."""
-    if config.camera != c.CAMERA_PERSPECTIVE:
-        return f"the camera is none of type 'perspective'; take one, or {INSTEAD}"
     view = camera_view(scene, sensor)
     if view.camera.filter == c.RFILTER_BOX and view.camera.filter_radius != 0.5:
         return f"a box filter of the radius {view.camera.filter_radius} overlaps its neighbours; give it 0.5"
@@ -203,10 +188,6 @@ def _of_camera(scene: Scene, config: PathConfig, sensor: int) -> str:
 def _of_light(scene: Scene, config: PathConfig) -> str:
     """Say which lights have borders that are not known; empty: none."""
     kinds = {e.kind for e in scene.builder.emitters}
-    if kinds & c.DELTA_LIGHTS and config.scatter:
-        return f"the hard shadows of point, spot and directional lights are none that rays move with; {INSTEAD}"
-    if any(has_steps(t) or t.kind == c.TEXTURE_FACE for t in scene.builder.textures):
-        return f"a texture has steps, past which rays would move; take bilinear bitmaps, or {INSTEAD}"
     if not config.scatter or not scene.face_count:
         return ""
     if len(scene.builder.emitters) != 1 or kinds != {c.EMITTER_AREA}:
@@ -220,8 +201,6 @@ def _of_film(scene: Scene, config: PathConfig, sensor: int) -> str:
     """Say which edge of a mesh the camera sees; empty: none."""
     if not scene.face_count:
         return ""
-    if config.smooth and not scene.shades_flat:
-        return f"meshes have interpolated normals, which turn away in curves; give face_normals, or {INSTEAD}"
     shapes = set(range(len(scene.builder.shapes)))
     found = film_edges(scene, sensor, shapes, camera_moves=True, hide_emitters=config.hidden)
     seen = np.append(found.others.keep, found.flat_creases.keep)

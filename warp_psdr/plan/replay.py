@@ -16,7 +16,7 @@ from warp_psdr.kernels.interior.replay import make_replay_kernel
 from warp_psdr.kernels.interior.time_gated import make_time_gated_kernel
 from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.options import interior
-from warp_psdr.plan import media
+from warp_psdr.plan.motion import moves_in_media
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -109,7 +109,7 @@ def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
     """Return the kernel of record and sweep."""
     if config.shown:
         return make_property_kernel(config, wanted, role)
-    if config.media is not None and media.moves(wanted):
+    if config.media is not None and moves_in_media(wanted):
         return make_media_motion_kernel(config, moved_request(wanted), role, kept.block, kept.longest)
     if config.media is not None:
         return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
@@ -122,7 +122,7 @@ def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
 
 def beside_motion(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     """Return the kernel of what moves nothing beside what moves in media, if there is any."""
-    if config.media is None or not media.moves(wanted):
+    if config.media is None or not moves_in_media(wanted):
         return []
     lights = tuple(kind for kind in wanted.lights if kind != "pose")
     of_media = tuple(kind for kind in wanted.media if kind != POSE)

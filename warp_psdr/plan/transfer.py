@@ -9,8 +9,7 @@ import numpy as np
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.options import interior
-from warp_psdr.plan.media import moves
-from warp_psdr.plan.motion import motion
+from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.topology.absent import absent_faces
 from warp_psdr.topology.edges import upload
 from warp_psdr.topology.edges_there import edges_there, joined
@@ -29,7 +28,7 @@ def refused_by_transfer(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why the equation cannot be estimated for what a kernel compiles; empty: it can."""
     if config.media is None:
         return f"{NAME} is for scenes with participating media; use interior.Replay() and a method of psdr.boundary"
-    if not moves(wanted):
+    if not moves_in_media(wanted):
         return ""
     if config.hidden:
         return f"{NAME} does not know hide_emitters where something moves; show the lights"

@@ -16,10 +16,8 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_kernel
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import AuxiliaryRays, PathWarpedArea, Rotation, WeightedRays
-from warp_psdr.plan.coverage import has_steps
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.replay import Kept
 from warp_psdr.topology import contacts
@@ -36,8 +34,6 @@ if TYPE_CHECKING:
 #: Most path vertices, which are kept as a whole.
 MOST_VERTICES = 16
 INSTEAD = "use boundary.PathSpace()"
-#: Lights whose light arrives from an extended set of directions.
-EXTENDED = {c.EMITTER_AREA, c.EMITTER_CONSTANT, c.EMITTER_ENVMAP}
 
 
 def compiled(method: AuxiliaryRays) -> WarpedOptions | RotationOptions:
@@ -107,8 +103,6 @@ def _of_request(scene: Scene, integrator: PathIntegrator, method: AuxiliaryRays,
 
 def _of_camera(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> str:
     """Say why a camera's rays cannot move; empty: they can."""
-    if config.camera != c.CAMERA_PERSPECTIVE:
-        return f"the camera is none of type 'perspective'; take one, or {INSTEAD}"
     film = camera_view(scene, sensor).camera
     if film.filter == c.RFILTER_BOX and film.filter_radius != 0.5:
         return f"a box filter of the radius {film.filter_radius} overlaps its neighbours; give it 0.5"
@@ -118,22 +112,6 @@ def _of_camera(scene: Scene, config: PathConfig, names: list[str], sensor: int) 
 
 def _of_surfaces(scene: Scene, config: PathConfig, names: list[str]) -> str:
     """Say which surfaces have discontinuities beside the edges of their triangles; empty: none."""
-    shapes = scene.description.shapes
-    if config.media is not None:
-        return f"the scene has participating media; {INSTEAD}"
-    if config.primitives:
-        found = ", ".join(repr(shapes[i].path) for i in scene.builder.primitives)
-        return f"{found} has no triangles, and its silhouettes no edges; {INSTEAD}, or boundary.SignedDistance()"
-    if has_null_lobes(config.bsdfs):
-        return f"a mask or a null interface lets rays pass, which do not move behind it; {INSTEAD}"
-    if has_delta_lobes(config.bsdfs):
-        return f"a ray that a smooth mirror or glass has turned does not move; make it rough, or {INSTEAD}"
-    if any(model.framed for model in models_of(config.bsdfs)):
-        return f"a normal or bump map turns the shading frame; {INSTEAD}"
-    if config.smooth and not scene.shades_flat:
-        return f"interpolated normals turn away from the light along curves; give face_normals, or {INSTEAD}"
-    if any(has_steps(t) or t.kind == c.TEXTURE_FACE for t in scene.builder.textures):
-        return f"a texture has steps, which are no edges; take bilinear bitmaps, or {INSTEAD}"
     if len(scene_curves(scene).length):
         return f"shapes run through each other along a curve that is no edge; move them apart, or {INSTEAD}"
     touching = contacts.describe(scene, motion(scene, names).shapes)
@@ -144,9 +122,6 @@ def _of_surfaces(scene: Scene, config: PathConfig, names: list[str]) -> str:
 
 def _of_light(scene: Scene, config: PathConfig) -> str:
     """Say which lights have shadows that no ray moves with; empty: none."""
-    kinds = {e.kind for e in scene.builder.emitters}
-    if config.scatter and kinds - EXTENDED:
-        return f"lights other than area lights and skies have hard shadows, which are met by no ray; {INSTEAD}"
-    if config.scatter and c.EMITTER_AREA in kinds and scene.builder.radiance_kinds - {c.TEXTURE_CONSTANT}:
+    if config.scatter and scene.builder.radiance_kinds - {c.TEXTURE_CONSTANT}:
         return f"an area light has a texture, past which sampled points would move; give it one radiance, or {INSTEAD}"
     return ""

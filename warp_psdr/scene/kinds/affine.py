@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from warp_psdr.options.words import words
 from warp_psdr.scene.errors import error
 from warp_psdr.scene.kinds.kind import Geometry
 from warp_psdr.scene.primitives import Tessellation, surface_area
@@ -68,6 +69,11 @@ class Exact(Geometry):
     def title(self) -> str:
         """How messages call it."""
         return f"an exact '{self.plugin}'"
+
+    @property
+    def knows(self) -> frozenset[str]:
+        """It may be of every material."""
+        return words("mirrors", "mirror", "glass", "mixed")
 
     def corners(self, to_world: np.ndarray) -> np.ndarray:
         """Return the corners (N, 3) of the box around it."""

@@ -17,6 +17,7 @@ import warp as wp
 
 from warp_psdr.kernels.primitive.curves import HEADER, MOST_SEGMENTS
 from warp_psdr.kernels.primitive.curves_walk import WIDTH
+from warp_psdr.options.words import words
 from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.errors import SceneError, error
 from warp_psdr.scene.kinds.curve_files import read_curves
@@ -48,6 +49,11 @@ class Curves(Geometry):
     points: np.ndarray  #: (N, 4) control points: x, y, z, radius
     firsts: np.ndarray  #: (S,) int32: of each segment, the number of its first control point
     pieces: int = 1  #: into which rays see a segment cut
+
+    @property
+    def knows(self) -> frozenset[str]:
+        """It is a mirror, and no glass: light that enters a curve leaves it unseen."""
+        return words("mirrors", "mirror")
 
     @classmethod
     def read(cls, props: Properties, to_world: np.ndarray) -> tuple[Geometry, np.ndarray]:

@@ -70,6 +70,11 @@ class Geometry(ABC):
         return self.device.moves == MATERIAL
 
     @property
+    @abstractmethod
+    def knows(self) -> frozenset[str]:
+        """The words (``options/words.py``) of what it may be, or be seen in, where something moves."""
+
+    @property
     def shines(self) -> bool:
         """Whether an area light may be on it."""
         return self.device.affine is not None and self.device.affine.light is not None

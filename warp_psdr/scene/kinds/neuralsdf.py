@@ -21,6 +21,7 @@ from warp_psdr.kernels.primitive.network import (
     STEP_WORD,
 )
 from warp_psdr.kernels.primitive.network_kind import NETWORK
+from warp_psdr.options.words import words
 from warp_psdr.scene.errors import error
 from warp_psdr.scene.kinds.kind import Geometry
 from warp_psdr.scene.kinds.network_bounds import cells_of, single, steepness, values_of
@@ -76,6 +77,11 @@ class Network(ZeroSet):
     def nodes(self) -> tuple[int, int, int]:
         """Number of the corners of cells along x, y and z."""
         return self.count + 1, self.count + 1, self.count + 1
+
+    @property
+    def knows(self) -> frozenset[str]:
+        """It is a mirror or glass, and no more besides."""
+        return words("mirrors", "mirror", "glass")
 
     def parameters(self) -> dict[str, np.ndarray]:
         """Return the weights and the biases of each layer."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
+from warp_psdr.options.words import words
 from warp_psdr.scene.errors import SceneError, error
 from warp_psdr.scene.kinds.kind import Geometry
 from warp_psdr.scene.kinds.zero_set import ZeroSet
@@ -55,6 +56,11 @@ class SdfGrid(ZeroSet):
         """Number of the nodes along x, y and z."""
         z, y, x = self.values.shape[:3]
         return x, y, z
+
+    @property
+    def knows(self) -> frozenset[str]:
+        """Smooth normals turn away from the viewer where mirrors and glass do not follow."""
+        return words("mirror", "glass") if self.smooth else words("mirrors", "mirror", "glass")
 
     def parameters(self) -> dict[str, np.ndarray]:
         """Return the values of the nodes, (Z, Y, X, 1)."""

@@ -54,7 +54,6 @@ from warp_psdr.options.boundary import (
     SignedDistance,
     WarpedArea,
 )
-from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion
 from warp_psdr.topology.kinds.tubes import TUBES
 from warp_psdr.topology.unchanged import at_rest
@@ -161,19 +160,10 @@ def prepare(scene: Scene, plan: Plan, names: list[str], sensor: int) -> list[wp.
 
 
 def launches(term: BoundaryTerm, request: Request) -> list[Term]:
-    """Return the launches of one of a method's terms, under its name; in media, of those that know them."""
-    known = term.media or request.config.media is None
+    """Return the launches of one of a method's terms, under its name; in media, of those that know them.
+
+    What else a term does not know has been refused by the plan (``plan/discontinuities.py``).
+    """
+    known = "media" in term.knows or request.config.media is None
     found = term.launch(request) if known and term.applies(request) else None
-    knows = term.exact or (term.material and primitives.are_exact(request.config))
-    if found is not None and request.config.primitives and not knows:
-        raise ValueError(
-            f"the boundary term {term.name!r} does not know grids, networks and curves yet; give these triangles, or "
-            "give the meshes that move, and those beside them, face_normals"
-        )
-    if found is not None and request.plan.times is not None and not term.timed:
-        raise ValueError(
-            f"the boundary term {term.name!r} does not know the time bins of a 'transient_hdr_film'; give smooth "
-            "meshes face_normals, move shapes that run through each other apart, or say PathIntegrator(boundary=None) "
-            "to get the interior term alone"
-        )
     return [] if found is None else [replace(found, kind=term.name)]

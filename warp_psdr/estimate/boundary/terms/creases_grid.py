@@ -6,6 +6,7 @@ from warp_psdr.estimate.boundary.terms import primary_silhouettes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_silhouettes import camera_eyes, facing_creases
 from warp_psdr.topology.kinds.family import Shares
 from warp_psdr.topology.kinds.grids import GRID
@@ -35,6 +36,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
     recorded="primary",
 )

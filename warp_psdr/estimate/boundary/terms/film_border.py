@@ -13,6 +13,7 @@ from warp_psdr.options.boundary import (
     SignedDistance,
     WarpedArea,
 )
+from warp_psdr.options.words import words
 from warp_psdr.plan import reparametrised, warped_area
 
 
@@ -40,5 +41,5 @@ TERM = BoundaryTerm(
     methods=(SignedDistance, NeuralSignedDistance, WarpedArea, PathWarpedArea, Rotation),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
 )

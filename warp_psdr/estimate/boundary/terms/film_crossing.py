@@ -5,6 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.crossing.film import make_film_crossing_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.topology.crossings import crossings
 
 
@@ -33,5 +34,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
 )

@@ -7,6 +7,7 @@ import math
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, film_edges_of, term_of
 from warp_psdr.kernels.boundary.path_space.flat_creases import make_flat_creases_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.topology.film_edges import flat_crease_edges
 
 
@@ -35,7 +36,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
-    exact=True,
-    timed=True,
+    knows=words("material_points", "slides", "transient"),
     recorded="primary",
 )

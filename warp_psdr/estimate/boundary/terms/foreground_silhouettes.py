@@ -12,6 +12,7 @@ from warp_psdr.estimate.boundary.terms import secondary_silhouettes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.foreground import make_foreground_kernel
 from warp_psdr.kernels.primitive.dispatch import has_flow
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.kinds.family import Family, Shares
 from warp_psdr.topology.kinds.table import FAMILIES
@@ -50,7 +51,7 @@ def _term(family: Family, stream: int) -> BoundaryTerm:
         methods=family.methods,
         launch=functools.partial(launch, family),
         applies=functools.partial(applies, family),
-        exact=True,
+        knows=words("material_points", "slides"),
         part="both" if family.both else "smooth",
         recorded="secondary",
     )

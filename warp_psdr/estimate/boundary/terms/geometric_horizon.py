@@ -5,19 +5,15 @@ from __future__ import annotations
 import math
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.shading_normals.geometric_horizon import make_geometric_horizon_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.plan.discontinuities import GEOMETRIC_HORIZON
 from warp_psdr.topology.interpolated_normals import interpolated_choice
 
 
 def applies(r: Request) -> bool:
     """Whether a direction can meet light, and shapes move."""
-    if r.plan.max_depth == 1 or not r.moves.shapes or not r.scatters_smoothly:
-        return False
-    # Light of no area is never met by a direction.
-    kinds = {e.kind for e in r.scene.builder.emitters}
-    return bool(kinds if r.plan.max_depth != 2 else kinds - c.DELTA_LIGHTS)
+    return GEOMETRIC_HORIZON.applies(r.asked)
 
 
 def launch(r: Request) -> Term | None:
@@ -39,6 +35,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
-    material=True,
+    knows=GEOMETRIC_HORIZON.knows,
     splits=True,
 )

@@ -7,6 +7,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.shading_normals.grid_horizon import make_grid_horizon_kernel
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
 from warp_psdr.topology.kinds.grids import GRID, POSES
 
@@ -37,6 +38,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
     splits=True,
 )

@@ -8,6 +8,7 @@ from warp_psdr.estimate.boundary.terms import foreground_silhouettes, secondary_
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.grid_indirect_terminator import make_grid_indirect_terminator_kernel
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
 from warp_psdr.topology.kinds.grids import GRID, POSES
 
@@ -29,5 +30,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=functools.partial(foreground_silhouettes.applies, GRID),
-    exact=True,
+    knows=words("material_points", "slides"),
 )

@@ -7,6 +7,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.shading_normals.grid_light_horizon import make_grid_light_horizon_kernel
 from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids
 from warp_psdr.topology.grid_silhouettes import grid_items, light_eyes, only
 from warp_psdr.topology.kinds.grids import GRID, POSES
@@ -34,5 +35,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
 )

@@ -8,6 +8,7 @@ from warp_psdr.estimate.boundary.terms import creases_grid
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.grid_terminator import make_grid_terminator_kernel
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
 from warp_psdr.topology.grid_silhouettes import camera_eyes
 from warp_psdr.topology.kinds.grids import PRIMARY
@@ -31,5 +32,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=creases_grid.applies,
-    exact=True,
+    knows=words("material_points", "slides"),
 )

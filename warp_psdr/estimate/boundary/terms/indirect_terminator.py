@@ -5,14 +5,13 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import make_indirect_terminator_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.plan.discontinuities import INDIRECT_TERMINATOR
 from warp_psdr.topology.interpolated_normals import interpolated_choice
 
 
 def applies(r: Request) -> bool:
     """Whether paths have more than one vertex that scatters, and vertices move against each other."""
-    if not (r.vertex_motion.edges or r.moves.normals):
-        return False
-    return not 0 <= r.plan.max_depth <= 2 and bool(r.scene.builder.emitters) and r.scatters_smoothly
+    return INDIRECT_TERMINATOR.applies(r.asked)
 
 
 def launch(r: Request) -> Term | None:
@@ -32,5 +31,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
-    material=True,
+    knows=INDIRECT_TERMINATOR.knows,
 )

@@ -5,14 +5,13 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, curves_of, term_of
 from warp_psdr.kernels.boundary.path_space.intersection_curve import make_intersection_curve_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.plan.discontinuities import INTERSECTION_CURVE
 from warp_psdr.topology.edges import curve_edges
 
 
 def applies(r: Request) -> bool:
     """Whether light can come from, or be scattered at, such a vertex."""
-    if r.plan.max_depth == 1 or not r.scene.builder.emitters:
-        return False
-    return (r.plan.max_depth != 2 or bool(r.config.area)) and r.scatters_smoothly
+    return INTERSECTION_CURVE.applies(r.asked)
 
 
 def launch(r: Request) -> Term | None:
@@ -33,5 +32,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
-    exact=True,
+    knows=INTERSECTION_CURVE.knows,
 )

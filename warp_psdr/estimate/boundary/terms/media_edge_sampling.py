@@ -9,6 +9,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.edge_sampling.media_edge_sampling import make_media_edge_sampling_kernel
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import EdgeSampling
+from warp_psdr.options.words import words
 from warp_psdr.plan.replay import keep_blocks
 from warp_psdr.topology.edge_trees import edge_trees
 from warp_psdr.topology.edges_there import secondary_edges_there
@@ -55,5 +56,5 @@ TERM = BoundaryTerm(
     methods=(EdgeSampling,),
     launch=launch,
     applies=applies,
-    media=True,
+    knows=words("media"),
 )

@@ -7,6 +7,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.options.boundary import EdgeSampling
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.edges_there import secondary_edges_there
 
@@ -36,5 +37,5 @@ TERM = BoundaryTerm(
     methods=(EdgeSampling,),
     launch=launch,
     applies=applies,
-    media=True,
+    knows=words("media"),
 )

@@ -10,6 +10,7 @@ from warp_psdr.estimate.boundary.terms.request import OWN_SHARE, OWN_SHARE_DIREC
 from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.edges_there import secondary_edges_there
 
@@ -61,5 +62,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     guided=True,
-    media=True,
+    knows=words("media"),
 )

@@ -7,6 +7,7 @@ import math
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, curves_of, film_edges_of, term_of
 from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
 from warp_psdr.options.boundary import EdgeSampling, FilmEdges, PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.topology.clip_planes import require_uncut
 from warp_psdr.topology.film_edges import primary_edges
 
@@ -31,8 +32,6 @@ TERM = BoundaryTerm(
     stream=0,
     methods=(PathSpace, Projective, EdgeSampling, FilmEdges),
     launch=launch,
-    exact=True,
-    timed=True,
-    media=True,
+    knows=words("material_points", "media", "slides", "transient"),
     recorded="primary",
 )

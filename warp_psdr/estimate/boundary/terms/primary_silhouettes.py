@@ -7,6 +7,7 @@ import math
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
+from warp_psdr.options.words import words
 from warp_psdr.topology.kinds.family import Family, Shares
 from warp_psdr.topology.kinds.table import FAMILIES
 
@@ -49,7 +50,7 @@ def _term(family: Family) -> BoundaryTerm:
         methods=family.methods,
         launch=functools.partial(launch, family),
         applies=functools.partial(applies, family),
-        exact=True,
+        knows=words("material_points", "slides"),
         part="both" if family.both else "smooth",
         recorded="primary",
     )

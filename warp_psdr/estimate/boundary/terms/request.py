@@ -13,9 +13,9 @@ import warp as wp
 from warp_psdr import compiler
 from warp_psdr.device import shared_copy
 from warp_psdr.estimate.jobs import sample_job
-from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import Method
+from warp_psdr.plan.discontinuities import Asked
 from warp_psdr.plan.motion import Motion
 from warp_psdr.plan.transient import gates_of
 from warp_psdr.topology.edges import select
@@ -101,10 +101,15 @@ class Request:
         """The path loop's: the estimators stratify what they sample first; everything else is independent."""
         return replace(self.plan.config, sampler="independent")
 
+    @functools.cached_property
+    def asked(self) -> Asked:
+        """What the plan's declarations of discontinuities are asked about."""
+        return Asked(self.scene, self.config, self.moves, self.sensor, self.plan.max_depth)
+
     @property
     def lit(self) -> bool:
         """Whether there are lights, and paths that reach them by way of a vertex."""
-        return self.plan.max_depth != 1 and bool(self.scene.builder.emitters)
+        return self.asked.lit
 
     @property
     def own_share(self) -> float:
@@ -126,12 +131,12 @@ class Request:
     @property
     def vertex_motion(self) -> Motion:
         """What moves path vertices against each other: not the camera, unless first vertices slide along its rays."""
-        return replace(self.moves, camera=False) if self.config.material_first else self.moves
+        return self.asked.vertex_motion
 
     @functools.cached_property
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
-        return has_smooth_lobes(self.config.bsdfs)
+        return self.asked.scatters_smoothly
 
     @property
     def method(self) -> Method:
@@ -154,10 +159,7 @@ class BoundaryTerm:
         applies: request -> whether it can have a launch at all, without a look at the scene's edges.
         splits: paths of two vertices behind the camera can be told from longer ones (``kernels/boundary/depth.py``).
         guided: a method's guiding, where there is one, guides it.
-        exact: it knows shapes without triangles (``kernels/primitive``) in the scene around it.
-        material: it knows those of them whose points are material: exact spheres, disks and cylinders.
-        media: it knows participating media.
-        timed: it knows the bins of transient films.
+        knows: words (``options/words.py``) of what it copes with in the scene around it.
         part: of the boundary term that it belongs to (``parts``): "smooth", "edges", or "both" ("creases" of the
             request tells the two apart).
         recorded: as what it is known to role "samples": "primary" or "secondary"; "": its samples are not recorded.
@@ -171,10 +173,7 @@ class BoundaryTerm:
     applies: Callable[[Request], bool] = lambda _request: True
     splits: bool = False
     guided: bool = False
-    exact: bool = False
-    material: bool = False
-    media: bool = False
-    timed: bool = False
+    knows: frozenset[str] = frozenset()
     part: str = "edges"
     recorded: str = ""
 

@@ -11,6 +11,7 @@ from warp_psdr.estimate.guiding import store
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.kinds.grids import SECONDARY
 from warp_psdr.topology.secondary_edges import secondary_edges
@@ -54,7 +55,6 @@ TERM = BoundaryTerm(
     applies=applies,
     splits=True,
     guided=True,
-    exact=True,
-    timed=True,
+    knows=words("material_points", "slides", "transient"),
     recorded="secondary",
 )

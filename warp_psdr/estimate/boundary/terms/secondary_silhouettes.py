@@ -13,6 +13,7 @@ from warp_psdr.estimate.boundary.touching import Touched, guided_kernel
 from warp_psdr.estimate.guiding.intervals import Listing
 from warp_psdr.kernels.boundary.silhouette.secondary import make_secondary_silhouette_kernel
 from warp_psdr.options.boundary import Projective
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.kinds.family import Family, Shares
 from warp_psdr.topology.kinds.table import FAMILIES
@@ -64,7 +65,7 @@ def _term(family: Family) -> BoundaryTerm:
         applies=functools.partial(applies, family),
         splits=True,
         guided=True,
-        exact=True,
+        knows=words("material_points", "slides"),
         part="both" if family.both else "smooth",
         recorded="secondary",
     )

@@ -7,6 +7,7 @@ import functools
 from warp_psdr.estimate.boundary.terms import foreground_silhouettes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.options.boundary import PathSpace
+from warp_psdr.options.words import words
 from warp_psdr.topology.grid_silhouettes import grid_items, only
 from warp_psdr.topology.kinds.family import Shares
 from warp_psdr.topology.kinds.grids import GRID
@@ -28,6 +29,6 @@ TERM = BoundaryTerm(
     methods=(PathSpace,),
     launch=launch,
     applies=functools.partial(foreground_silhouettes.applies, GRID),
-    exact=True,
+    knows=words("material_points", "slides"),
     recorded="secondary",
 )

@@ -5,12 +5,13 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.terminator import make_terminator_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.plan.discontinuities import TERMINATOR
 from warp_psdr.topology.interpolated_normals import terminator_faces
 
 
 def applies(r: Request) -> bool:
     """Whether surfaces scatter."""
-    return r.config.scatter
+    return TERMINATOR.applies(r.asked)
 
 
 def launch(r: Request) -> Term | None:
@@ -31,5 +32,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
-    material=True,
+    knows=TERMINATOR.knows,
 )

@@ -6,6 +6,7 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.specular.line_search import make_line_search_kernel
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.options.boundary import Connecting, PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.topology.faces import face_tables
 
 
@@ -31,5 +32,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
-    exact=True,
+    knows=words("material_points", "slides"),
 )

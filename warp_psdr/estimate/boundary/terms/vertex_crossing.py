@@ -5,6 +5,7 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.crossing.vertex import make_vertex_crossing_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.crossings import crossings
 
@@ -35,5 +36,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
-    exact=True,
+    knows=words("material_points", "slides"),
 )
