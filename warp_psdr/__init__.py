@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
+    from warp_psdr.coverage import Coverage, coverage
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
     from warp_psdr.estimate.trace import Trace, trace_sample
@@ -42,6 +43,7 @@ __all__ = [
     "AovIntegrator",
     "BoundaryTrace",
     "Compilation",
+    "Coverage",
     "Film",
     "Image",
     "Parameters",
@@ -55,6 +57,7 @@ __all__ = [
     "boundary",
     "compile",
     "cornell_box",
+    "coverage",
     "distributed",
     "fit",
     "guiding",
@@ -95,6 +98,7 @@ _PUBLIC = {
     "AovIntegrator": "options.integrator",
     "BoundaryTrace": "estimate.boundary.trace",
     "Compilation": "estimate.compile",
+    "Coverage": "coverage",
     "Film": "film",
     "Image": "image",
     "Parameters": "scene.parameters",
@@ -107,6 +111,7 @@ _PUBLIC = {
     "accuracy": "accuracy.pilot",
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
+    "coverage": "coverage",
     "invalid_samples": "invalid",
     "load_dict": "scene.load",
     "load_file": "scene.load",

@@ -139,7 +139,7 @@ def test_boundary_terms_that_meters_lack_are_refused_by_name():
     assert psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=2)).boundary is not None
     for depth, method, words in [
         (3, "auto", "hard shadows are not covered beyond max_depth=2"),
-        (2, psdr.boundary.PathSpace(), r"whose one ray no edge can be connected to; use boundary\.EdgeSampling\(\)"),
+        (2, psdr.boundary.PathSpace(), r"the one ray of a 'radiancemeter'; use boundary\.EdgeSampling\(\)"),
     ]:
         with pytest.raises(ValueError, match=words):
             integrator = psdr.PathIntegrator(max_depth=depth, boundary=method)

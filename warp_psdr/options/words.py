@@ -48,7 +48,7 @@ WORDS = {
     # Sensors and films
     "thinlens": Word("a 'thinlens' camera", "take a 'perspective' one"),
     "orthographic": Word("an 'orthographic' camera", "take a 'perspective' one"),
-    "radiancemeter": Word("a 'radiancemeter', whose one ray no edge can be connected to", "use a narrow camera"),
+    "radiancemeter": Word("the one ray of a 'radiancemeter'", "use a narrow camera"),
     "irradiancemeter": Word("an 'irradiancemeter'", "watch with a camera instead"),
     "transient": Word("the time bins of a 'transient_hdr_film'", "use an 'hdrfilm'"),
     # Estimators

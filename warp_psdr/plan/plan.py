@@ -155,7 +155,7 @@ def decide(
     if still and not config.shown and config.smooth and scene.shades_flat:
         config = replace(config, smooth=False, flat=True)
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
-    if wanted is not None and isinstance(method, interior.Replay) and method.flow == "normal":
+    if wanted is not None and isinstance(method, interior.Replay) and method.flow == "normal" and config.primitives:
         primitives.refuse_flow(scene, config)
         config = replace(config, primitives=(*config.primitives, c.NORMAL_FLOW))
         lines.append(("vertices", "flow along normals", "of smooth grids and networks"))
