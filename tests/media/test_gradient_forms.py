@@ -248,5 +248,5 @@ def test_other_methods_are_refused():
     glass = scenes.ink_in_glass()
     glass["glass"]["bsdf"] = {"type": "dielectric"}
     scene = psdr.load_dict(glass)
-    with pytest.raises(ValueError, match="that is not followed through media"):
+    with pytest.raises(ValueError, match="turned rays are not followed through media"):
         psdr.plan(scene, names=["glass.bsdf.eta"])

@@ -418,7 +418,7 @@ def test_what_moves_is_refused(medium_of, words):
     scene = slab(medium_of(), bulb=point(LIGHT, (INTENSITY,) * 3))
     params = psdr.traverse(scene)
     params.requires_grad_only("bulb.position")
-    with pytest.raises(ValueError, match=f"that is not followed through .*{words}"):
+    with pytest.raises(ValueError, match=f"what moves is not followed through .*{words}"):
         psdr.render_backward(scene, params, np.ones((4, 4, 3), np.float32), spp=4)
 
 

@@ -100,7 +100,8 @@ def _of_mirrors(scene: Scene) -> str:
             mixed = model.has_smooth or model.has_null
             if ("mixed" if mixed else "glass" if model.transmits else "mirror") not in knows:
                 what = f"what moves is not followed through the {model.plugin!r} of {s.path!r}"
-                return f"{what}; give it a 'conductor'{" or a 'dielectric'" * ('glass' in knows)}, or make it rough"
+                fit = "'conductor' or a 'dielectric'" if "glass" in knows else "'conductor'"
+                return f"{what}; give it a {fit}, or make it rough"
         if "mirrors" not in knows:
             turned = f"the 'smooth' normals of {s.path!r} turn away from the viewer beside its silhouettes"
             curves = "curves that are not followed through smooth mirrors and glass"
