@@ -11,7 +11,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *("PathIntegrator", "AovIntegrator", "Parameters", "Transform"),
     ),
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),
-    "Plan and cost": ("plan", "accuracy", "compile", "methods", "Plan", "Compilation"),
+    "Plan and cost": ("plan", "coverage", "accuracy", "compile", "methods", "Plan", "Coverage", "Compilation"),
     "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),
     "Pictures and files": ("view", "read_image", "write_image"),
     "More": (

@@ -4,7 +4,7 @@
 of its plugins, with the pictures that ``swatches.py`` has made; ``{models}`` the declared scattering models;
 ``{api} GROUP`` names of the API; ``{measured} NAME`` the tables of ``data/NAME.jsonl``, in the form that ``--output``
 of the benchmarks writes, or slopes with the commits that recorded them; ``{combinations}`` what may be attached
-together, and what materials are not.
+together, and what materials are not; ``{coverage} kinds`` and ``{coverage} effects`` what ``psdr.coverage()`` answers.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from docutils.statemachine import StringList
 from sphinx.util.docutils import SphinxDirective
 
 import warp_psdr as psdr
+from warp_psdr.coverage_scenes import EFFECTS, KINDS
 from warp_psdr.kernels import constants
 from warp_psdr.kernels.bsdf import model
 from warp_psdr.kernels.bsdf.composite import Composite
@@ -111,6 +112,28 @@ class Combinations(Generated):
         lines += ["", "| material whose directions stay | why |", "|---|---|"]
         lines += [f"| `{model}` | {reason} |" for model, reason in combinations.UNMOVED.items()]
         return "\n".join(lines)
+
+
+class Coverage(Generated):
+    """What works with what: requests down, kinds of shapes or effects across, and the sentences of what is refused."""
+
+    required_arguments = 1
+    #: Columns of a table.
+    WIDTH = 10
+
+    def text(self) -> str:
+        """Return tables."""
+        rows = coverage_rows(self.arguments[0])
+        parts = [rows[i : i + self.WIDTH] for i in range(0, len(rows), self.WIDTH)]
+        tables = [psdr.Coverage([cell for row in part for cell in psdr.coverage(**row)]) for part in parts]
+        return "\n\n".join(table.markdown() for table in tables)
+
+
+def coverage_rows(of: str) -> list[dict[str, str]]:
+    """Return what ``psdr.coverage`` is asked for: every kind, or a mesh beside every effect."""
+    if of == "kinds":
+        return [{"kind": kind} for kind in KINDS]
+    return [{"kind": "mesh", "effect": effect} for effect in EFFECTS]
 
 
 class Plugins(Generated):
@@ -297,6 +320,7 @@ def setup(app) -> dict:
         "api": Api,
         "measured": Measured,
         "combinations": Combinations,
+        "coverage": Coverage,
     }
     for name, directive in directives.items():
         app.add_directive(name, directive)
