@@ -120,7 +120,7 @@ def sky(height: int, width: int) -> np.ndarray:
 
 def write_data(folder: Path = FOLDER, spp: int = PHOTO_SPP) -> None:
     """Write everything into ``folder``."""
-    from warp_psdr.scene.meshes import vertex_normals
+    from warp_psdr.scene.shapes.meshes import vertex_normals
 
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(ROOT / "scenes" / SCENE, folder / SCENE)

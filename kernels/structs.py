@@ -165,7 +165,7 @@ class Scene:
     env_conditional: wp.array(dtype=wp.float32)  # cumulative over the cells of each row, h x (w + 1), flattened
     ray_epsilon: wp.float32  # distance by which a ray's origin is moved off its surface, world units
     least_step: wp.float32  # the least at edges, see ``step.py``; 0: ``ray_epsilon`` serves all surfaces and edges
-    contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/contact.py``
+    contact_ratio: wp.float32  # width of strips at contacts over the radius, ``interior/factors/contact.py``
     radii: wp.array(
         dtype=wp.float32
     )  # of the triangles' patches, ``warp_psdr.topology.patches``; not empty: a 0 if nothing moves

@@ -3,7 +3,7 @@
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
 from warp_psdr.kernels.bsdf.record import merge_values, slot_of
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 
 

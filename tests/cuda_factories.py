@@ -61,8 +61,8 @@ from warp_psdr.kernels.boundary.signed_distance.warp_field import WarpOptions
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.bsdf.motion import MOVED_BY
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.shape_parameters import branched_values
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
 from warp_psdr.kernels.vertex import PathConfig
 

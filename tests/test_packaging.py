@@ -49,14 +49,14 @@ def test_wheel_holds_exactly_the_library(wheel_names: set[str]) -> None:
     # kernels/__init__.py is installed in place of the stand-in that finds it in a checkout.
     expected = {f"warp_psdr/kernels/{name}" for name in sources("kernels")}
     expected |= {f"warp_psdr/{name}" for name in sources("warp_psdr")}
-    expected |= {f"warp_psdr/scene/sky_tables.{ending}" for ending in ("npz", "LICENSE")}
+    expected |= {f"warp_psdr/scene/lights/sky_tables.{ending}" for ending in ("npz", "LICENSE")}
     expected.add("warp_psdr/scene_files/cornell_box.xml")
     expected.add("warp_psdr/py.typed")  # the annotations are for type checkers of users, too
     assert {name for name in wheel_names if ".dist-info/" not in name} == expected
 
 
 def test_wheel_ships_licences_version_and_command(distributions: tuple[Path, Path], wheel_names: set[str]) -> None:
-    for file in ("LICENSE", "warp_psdr/scene/sky_tables.LICENSE"):
+    for file in ("LICENSE", "warp_psdr/scene/lights/sky_tables.LICENSE"):
         assert any(name.endswith(f".dist-info/licenses/{file}") for name in wheel_names)
     with zipfile.ZipFile(distributions[0]) as archive:
         metadata = archive.read(next(n for n in wheel_names if n.endswith(".dist-info/METADATA"))).decode()

@@ -11,7 +11,7 @@ from scipy import stats
 
 from warp_psdr.kernels import sampling
 from warp_psdr.kernels.distribution import LEVELS, find_guided, find_interval, find_interval_64
-from warp_psdr.scene.light_sampling import cumulative, with_guide
+from warp_psdr.scene.lights.light_sampling import cumulative, with_guide
 
 SIGNIFICANCE = 1e-5
 SAMPLES = 400_000

@@ -29,8 +29,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.render import render, render_backward, render_forward
     from warp_psdr.scene.acceleration import set_ray_backend, set_vector_width
     from warp_psdr.scene.cornell_box import cornell_box
+    from warp_psdr.scene.files.own_meshes import load_mesh, preview_scene
     from warp_psdr.scene.load import SceneWarning, load_dict, load_file, load_string
-    from warp_psdr.scene.own_meshes import load_mesh, preview_scene
     from warp_psdr.scene.parameters import Parameters, traverse
     from warp_psdr.scene.scene import Scene
     from warp_psdr.scene.transforms import Transform
@@ -115,11 +115,11 @@ _PUBLIC = {
     "invalid_samples": "invalid",
     "load_dict": "scene.load",
     "load_file": "scene.load",
-    "load_mesh": "scene.own_meshes",
+    "load_mesh": "scene.files.own_meshes",
     "load_string": "scene.load",
     "methods": "options.methods",
     "plan": "plan.plan",
-    "preview_scene": "scene.own_meshes",
+    "preview_scene": "scene.files.own_meshes",
     "read_image": "image_io",
     "render": "render",
     "render_aov": "aov",

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from scenes import write_ply
-from warp_psdr.scene.primitives import sphere as tessellated
+from warp_psdr.scene.shapes.primitives import sphere as tessellated
 
 DEPTH = 4
 RADIUS = 0.33

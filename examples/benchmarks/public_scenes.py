@@ -16,7 +16,7 @@ import numpy as np
 from common import Report, arguments, psdr
 
 from warp_psdr.estimate.passes import STREAM_INTERIOR
-from warp_psdr.scene.xml import describe_string
+from warp_psdr.scene.files.xml import describe_string
 
 #: Standard error of a slope at which no batch is added.
 ENOUGH = 0.005

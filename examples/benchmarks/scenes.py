@@ -7,7 +7,7 @@ import numpy as np
 from common import ROOT
 
 from warp_psdr import image_io
-from warp_psdr.scene.primitives import sphere
+from warp_psdr.scene.shapes.primitives import sphere
 
 CORNELL = ROOT / "scenes" / "cornell_box.xml"
 #: Triangles of the finely tessellated mesh: 2 * 160 * 256.

@@ -21,7 +21,7 @@ from common import ROOT, psdr
 
 from warp_psdr import plots
 from warp_psdr.kernels.boundary.path_space import primary
-from warp_psdr.scene import dictionary
+from warp_psdr.scene.files import dictionary
 from warp_psdr.topology import edges
 
 #: Pixels of a picture's side, batches and samples of each derivative in it, and of the reference.

@@ -248,11 +248,11 @@ class Table:
     """Numbers that follow from other values of the material; no parameter of scene files.
 
     The host computes them when a scene is loaded and whenever one of those values has changed
-    (``warp_psdr/scene/tables.py``). Device code reads them with ``table_entry`` and takes them as constants: a table
-    that carries a derivative holds it beside the value.
+    (``warp_psdr/scene/materials/tables.py``). Device code reads them with ``table_entry`` and takes them as constants:
+    a table that carries a derivative holds it beside the value.
 
     Attributes:
-        name: of the value, and of the function in ``warp_psdr.scene.tables.MAKERS`` that fills it.
+        name: of the value, and of the function in ``warp_psdr.scene.materials.tables.MAKERS`` that fills it.
         size: how many numbers it holds.
         of: the values that it follows from, bare numbers.
     """

@@ -7,8 +7,8 @@ from the base meets at it from below,
                 + rho / (1 - rho R) T(wi) T(wo) / (pi eta^2)                          (nonlinear; else 1 - R).
 
 T and R depend on alpha and eta. The host tabulates them with their derivatives at the values alpha_0 and eta_0 of the
-last update (``warp_psdr/scene/rough_transmittance.py``); here they are T + (alpha - alpha_0) dT/dalpha + (eta - eta_0)
-dT/deta, whose differences are 0 and whose derivatives are those of the table.
+last update (``warp_psdr/scene/materials/rough_transmittance.py``); here they are T + (alpha - alpha_0) dT/dalpha + (eta
+- eta_0) dT/deta, whose differences are 0 and whose derivatives are those of the table.
 
 Derivation: ``docs/theory/materials.md#rough-plastic``; by the index, whose F and T weigh the two lobes,
 ``docs/theory/interior.md#lobes-of-one-sign``.

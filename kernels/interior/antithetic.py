@@ -22,7 +22,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.branch_point import (
+from warp_psdr.kernels.interior.factors.branch_point import (
     CHOICE_SLOT,
     DIRECTION_SLOT,
     LIGHT_SLOT,
@@ -31,15 +31,15 @@ from warp_psdr.kernels.interior.branch_point import (
     BranchPoint,
     make_branch_point,
 )
-from warp_psdr.kernels.interior.contact import make_contact_weights
-from warp_psdr.kernels.interior.factors import make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.half_vectors import mirrored
-from warp_psdr.kernels.interior.opposite import make_opposite
-from warp_psdr.kernels.interior.pullback import make_frame_vjp
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.tilts import make_tilts, tilts
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.contact import make_contact_weights
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.half_vectors import mirrored
+from warp_psdr.kernels.interior.factors.opposite import make_opposite
+from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.tilts import make_tilts, tilts
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

@@ -20,9 +20,9 @@ from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.area import pdf_area
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_lights
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3, make_material_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

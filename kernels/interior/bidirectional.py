@@ -13,9 +13,9 @@ import warp as wp
 
 from warp_psdr.kernels.bidirectional_path import CameraWalk, make_camera_walk, make_walk_from
 from warp_psdr.kernels.camera_rays import make_bundled_starts, rays_together
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

@@ -19,7 +19,8 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.branch_point import (
+from warp_psdr.kernels.interior.decomposed import make_decomposed_directions
+from warp_psdr.kernels.interior.factors.branch_point import (
     CHOICE_SLOT,
     DIRECTION_SLOT,
     LIGHT_SLOT,
@@ -29,14 +30,13 @@ from warp_psdr.kernels.interior.branch_point import (
     BranchPoint,
     make_branch_point,
 )
-from warp_psdr.kernels.interior.candidates import is_upper, make_candidates
-from warp_psdr.kernels.interior.decomposed import make_decomposed_directions
-from warp_psdr.kernels.interior.factors import make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.mixtures import make_mixture, mixed_values
+from warp_psdr.kernels.interior.factors.candidates import is_upper, make_candidates
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.mixtures import make_mixture, mixed_values
+from warp_psdr.kernels.interior.factors.shape_parameters import make_shape_parameters
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.interior.resampled import make_resampling, one_of
-from warp_psdr.kernels.interior.shape_parameters import make_shape_parameters
-from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

@@ -22,11 +22,11 @@ from warp_psdr.kernels.camera_rays import make_bundled_starts, rays_together
 from warp_psdr.kernels.connection import CAMERA_STREAM, Joint, make_subpaths
 from warp_psdr.kernels.constants import LOBE_NONE
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.interior.light_tracing import make_light_factors
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.light_path import LightVertex

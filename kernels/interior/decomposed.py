@@ -18,16 +18,16 @@ from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.branch_point import (
+from warp_psdr.kernels.interior.factors.branch_point import (
     DIRECTION_SLOT,
     NO_ROULETTE,
     VERTEX_SLOT,
     BranchPoint,
     make_onward_radiance,
 )
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.mixtures import make_mixture, make_mixture_directions, mixed_values
-from warp_psdr.kernels.interior.signed_lobes import make_signed_directions, make_signed_numbers, signed_values
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.mixtures import make_mixture, make_mixture_directions, mixed_values
+from warp_psdr.kernels.interior.factors.signed_lobes import make_signed_directions, make_signed_numbers, signed_values
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig

@@ -13,7 +13,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.medium.coefficients import albedo_at
 from warp_psdr.kernels.medium.flight import mean_of

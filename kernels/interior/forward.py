@@ -17,14 +17,14 @@ from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_
 from warp_psdr.kernels.emitter.area import make_light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.contact import make_contact_weights
-from warp_psdr.kernels.interior.factors import make_light_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.tangents import local_jvp, log_geometry_jvp, make_frame_jvp
-from warp_psdr.kernels.interior.tilts import make_tilts, upright
+from warp_psdr.kernels.interior.factors.contact import make_contact_weights
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink
+from warp_psdr.kernels.interior.factors.tangents import local_jvp, log_geometry_jvp, make_frame_jvp
+from warp_psdr.kernels.interior.factors.tilts import make_tilts, upright
+from warp_psdr.kernels.interior.factors.transmittance import make_transmittance_sink
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.interior.time_gated_forward import make_time_gated_forward_kernel
-from warp_psdr.kernels.interior.transmittance import make_transmittance_sink
-from warp_psdr.kernels.interior.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

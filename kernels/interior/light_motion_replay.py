@@ -9,9 +9,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.light_motion import LightCarry, make_light_motion
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.light_motion import LightCarry, make_light_motion
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import LightVertex, light_sampler, make_light_path

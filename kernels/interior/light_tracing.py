@@ -16,9 +16,9 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bidirectional_path import make_light_walk
 from warp_psdr.kernels.constants import DELTA_LIGHTS, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink, make_material_sink
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob
 from warp_psdr.kernels.light_path import LightVertex, light_sampler

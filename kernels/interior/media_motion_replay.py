@@ -12,8 +12,8 @@ import warp as wp
 
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import LOBE_NULL
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.media_motion import MovedCarry, MovedStep, make_moved_sweep
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.media_motion import MovedCarry, MovedStep, make_moved_sweep
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.interface import make_interface

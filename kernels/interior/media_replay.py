@@ -11,8 +11,8 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.interior.differential_ratio_tracking import Stretch, make_ratio_branch
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.media_sweep import explores_density, make_media_sweep
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.media_sweep import explores_density, make_media_sweep
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, steps_kept

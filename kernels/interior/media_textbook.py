@@ -11,8 +11,8 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.media_sweep import make_media_sweep
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.media_sweep import make_media_sweep
 from warp_psdr.kernels.interior.textbook import safe_quotient
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of

@@ -13,9 +13,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
-from warp_psdr.kernels.interior.contact import make_contact_weights
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.contact import make_contact_weights
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, on_channel
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

@@ -14,7 +14,7 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.constants import FAR, PHASE_HG, TWO_PI
-from warp_psdr.kernels.interior.branch_point import CHOICE_SLOT, DIRECTION_SLOT, LIGHT_SLOT, SALT, VERTEX_SLOT
+from warp_psdr.kernels.interior.factors.branch_point import CHOICE_SLOT, DIRECTION_SLOT, LIGHT_SLOT, SALT, VERTEX_SLOT
 from warp_psdr.kernels.interior.resampled import TwoChosen, make_resampling, one_of
 from warp_psdr.kernels.invalid import count_invalid, finite, inverse_pdf, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of

@@ -14,8 +14,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.camera_rays import make_camera_paths, make_pixel_bundle
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
 from warp_psdr.kernels.lanes.lanes import ROOM, ROWS

@@ -12,7 +12,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.path_order import Behind, make_path_order_kernel
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene

@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.camera_rays import make_camera_paths
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.time_gated import make_light_point_sink
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of

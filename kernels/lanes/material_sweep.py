@@ -14,8 +14,8 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows, word_of
 from warp_psdr.kernels.lanes.model_lanes import make_adjoints_of_each

@@ -14,10 +14,10 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import Frame, enter_frame, make_framing
-from warp_psdr.kernels.interior.contact import make_contact_weights, may_touch, wedge_between
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.pullback import connection_vjp, make_frame_vjp
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.contact import make_contact_weights, may_touch, wedge_between
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.pullback import connection_vjp, make_frame_vjp
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows

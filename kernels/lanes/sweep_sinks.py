@@ -7,8 +7,8 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf
 from warp_psdr.kernels.emitter.area import light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import make_side
-from warp_psdr.kernels.interior.factors import make_light_sink, make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink, make_material_sink
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.lanes.kept_lanes import RecordedVertex
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows

@@ -1,10 +1,10 @@
 """Majorants of grids: a super-grid of cells of 8^3 voxels, and a walk along a ray from cell to cell.
 
 A cell holds the largest value that interpolation returns anywhere in it, over all channels, before the medium's
-``scale``. Majorants are inputs of a launch, rebuilt when values are edited (``warp_psdr/scene/super_grid.py``), and
-detached, because no derivative depends on them. The walk steps from cell to cell by integers. It computes the crossing
-of a plane from the plane's number each time, so that errors do not add up and a grazing ray skips no cell [Amanatides
-and Woo 1987]. Tentative points of tracking come along the walk at the rate of the majorants.
+``scale``. Majorants are inputs of a launch, rebuilt when values are edited (``warp_psdr/scene/media/super_grid.py``),
+and detached, because no derivative depends on them. The walk steps from cell to cell by integers. It computes the
+crossing of a plane from the plane's number each time, so that errors do not add up and a grazing ray skips no cell
+[Amanatides and Woo 1987]. Tentative points of tracking come along the walk at the rate of the majorants.
 
 Derivation: ``docs/theory/media.md#grids``.
 """

@@ -14,7 +14,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import LOBE_NULL
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES

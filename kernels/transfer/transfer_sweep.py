@@ -24,10 +24,10 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.pullback import make_frame_vjp
-from warp_psdr.kernels.interior.shadow_motion import make_light_end_sink, make_shadow_sink
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.factors.shadow_motion import make_light_end_sink, make_shadow_sink
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink
 from warp_psdr.kernels.medium.coefficients import coefficients_of
 from warp_psdr.kernels.medium.interface import make_interface_sink
 from warp_psdr.kernels.path_media import MediaVertex, collision_point

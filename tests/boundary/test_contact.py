@@ -1,4 +1,4 @@
-"""Surfaces that touch: light between them gives the interior term a tail (``kernels/interior/contact.py``)."""
+"""Surfaces that touch: light between them gives the interior term a tail (``kernels/interior/factors/contact.py``)."""
 
 import numpy as np
 import pytest

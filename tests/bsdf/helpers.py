@@ -58,7 +58,7 @@ from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.bsdf.model import ComplexIndex, Value
 from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_SMOOTH
 from warp_psdr.kernels.structs import BsdfSample, Scattered
-from warp_psdr.scene.tables import MAKERS
+from warp_psdr.scene.materials.tables import MAKERS
 
 NESTED_MODELS = ordered((SMOOTH_BLEND, COATED_BLEND, GLASS_BLEND, MAPPED, BUMPED, MASKED, MASKED_PLATE, MASKED_COAT))
 PLAIN_MODELS = tuple(VARIANTS)

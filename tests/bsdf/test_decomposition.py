@@ -10,7 +10,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.abc import BY_B, BY_C, abc_lobe_draw
 from warp_psdr.kernels.bsdf.decomposition import ACROSS, ALONG, BOTH, MOST, make_decomposition, quartic
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
-from warp_psdr.scene.tables import MAKERS
+from warp_psdr.scene.materials.tables import MAKERS
 
 #: Largest statistic of a chi-square test that right samples exceed once in 10^4 tries.
 CHANCE = 1e-4

@@ -9,7 +9,7 @@ import numpy as np
 
 from warp_psdr.kernels.bsdf.microfacet import MIN_ALPHA
 from warp_psdr.kernels.constants import LOBE_DELTA_REFLECTION, LOBE_NULL
-from warp_psdr.scene.rough_transmittance import transmittance
+from warp_psdr.scene.materials.rough_transmittance import transmittance
 
 #: Turns a direction into its mirror direction.
 MIRRORED = np.array([-1.0, -1.0, 1.0])

@@ -11,7 +11,7 @@ import warp_psdr as psdr
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.structs import Emitter, Scene, Texture
-from warp_psdr.scene.light_sampling import build_env_distribution, with_guide
+from warp_psdr.scene.lights.light_sampling import build_env_distribution, with_guide
 
 ALL_KINDS = (
     c.EMITTER_CONSTANT,

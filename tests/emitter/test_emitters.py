@@ -23,7 +23,7 @@ from tests.emitter.helpers import (
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.scene.light_sampling import build_env_distribution
+from warp_psdr.scene.lights.light_sampling import build_env_distribution
 
 SIGNIFICANCE = 1e-5
 

@@ -6,7 +6,8 @@ import pytest
 import warp_psdr as psdr
 from tests.path.helpers import assert_same_mean, batches, blocks
 from tests.peer import for_mitsuba
-from warp_psdr.scene import describe_dict, sky_model
+from warp_psdr.scene import describe_dict
+from warp_psdr.scene.lights import sky_model
 
 T = psdr.Transform
 SIZE = 12

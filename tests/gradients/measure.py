@@ -15,7 +15,7 @@ import numpy as np
 
 import warp_psdr as psdr
 from warp_psdr.estimate.passes import STREAM_INTERIOR
-from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.lights.selection import Lights
 
 from .scenes import load
 

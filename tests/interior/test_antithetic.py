@@ -11,8 +11,8 @@ from tests.gradients.configs import shift, turn
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import noise, rgb
 from warp_psdr.estimate.passes import camera_gradient_kernels
-from warp_psdr.kernels.interior.half_vectors import mirrored
-from warp_psdr.kernels.interior.opposite import sort_by
+from warp_psdr.kernels.interior.factors.half_vectors import mirrored
+from warp_psdr.kernels.interior.factors.opposite import sort_by
 from warp_psdr.options.interior import Branches
 from warp_psdr.plan import choice
 

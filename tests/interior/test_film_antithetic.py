@@ -10,9 +10,9 @@ from scipy import stats
 import warp_psdr as psdr
 from tests.gradients.measure import NO_ROULETTE, shared_random_numbers
 from tests.gradients.scenes import rgb
+from warp_psdr.kernels.interior.factors.film_points import MIRRORED as MIRRORED_POINTS
+from warp_psdr.kernels.interior.factors.film_points import film_form
 from warp_psdr.kernels.interior.film_antithetic import make_spread_offset, mirrored_offset, spread_density
-from warp_psdr.kernels.interior.film_points import MIRRORED as MIRRORED_POINTS
-from warp_psdr.kernels.interior.film_points import film_form
 from warp_psdr.kernels.sensor.camera import CameraSample, load_mat44, make_camera_ray
 from warp_psdr.kernels.sensor.film import filter_extent
 from warp_psdr.kernels.sensor.projection import make_projection

@@ -204,7 +204,7 @@ def taped():
     scene = psdr.load_dict(box())
     # The offset of a ray's origin is in the recorded directions and not in the oracle's connections.
     scene.ray_epsilon *= 0.1
-    # Nor does the oracle know contacts (kernels/interior/contact.py).
+    # Nor does the oracle know contacts (kernels/interior/factors/contact.py).
     scene.contact_ratio = 0.0
     params = psdr.traverse(scene)
     params.requires_grad("*.vertex_positions", "*.reflectance.value", "*.radiance.value")

@@ -18,7 +18,7 @@ from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import sampler_at
 from warp_psdr.kernels.vertex import MediaConfig
-from warp_psdr.scene.super_grid import super_grid
+from warp_psdr.scene.media.super_grid import super_grid
 
 #: Flights of a test, bins of the distance, and points of the quadrature in each.
 COUNT, BINS, FINE = 1 << 17, 40, 64

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from tests.media import scenes
 from tests.media.scenes import T, camera, cube, grid, grids, points, sky, whole
 from tests.path.helpers import assert_mean, assert_same_mean, batches, blocks
-from warp_psdr.scene.super_grid import super_grid
+from warp_psdr.scene.media.super_grid import super_grid
 
 #: Some boxes end inside of their interface, and are meant to.
 pytestmark = pytest.mark.filterwarnings("ignore:.* is not 0 at the border of its box")

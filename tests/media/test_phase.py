@@ -10,7 +10,7 @@ from warp_psdr.kernels import structs
 from warp_psdr.kernels.constants import PHASE_BLEND, PHASE_HG, PHASE_ISOTROPIC, PHASE_RAYLEIGH, PHASE_TABLE
 from warp_psdr.kernels.phase.dispatch import make_phase, make_phase_sink, make_phase_slopes
 from warp_psdr.kernels.phase.hg import hg_slope
-from warp_psdr.scene.super_grid import integrals
+from warp_psdr.scene.media.super_grid import integrals
 
 
 @pytest.mark.slow_rows("-0.5", "0.0001", "0.3")

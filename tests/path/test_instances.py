@@ -5,8 +5,9 @@ import pytest
 import trimesh
 
 import warp_psdr as psdr
-from warp_psdr.scene import describe_dict, describe_string, groups
+from warp_psdr.scene import describe_dict, describe_string
 from warp_psdr.scene.parameters import check_independent
+from warp_psdr.scene.shapes import groups
 
 from .helpers import assert_same_mean
 

@@ -247,7 +247,7 @@ import numpy as np
 
 from warp_psdr.kernels.primitive.bowl import BOWL
 from warp_psdr.scene.kinds.affine import Exact, corners_of
-from warp_psdr.scene.primitives import Tessellation
+from warp_psdr.scene.shapes.primitives import Tessellation
 
 
 class Bowl(Exact):

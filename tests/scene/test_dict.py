@@ -7,8 +7,8 @@ import pytest
 
 from warp_psdr.image_io import srgb_to_linear, write_image
 from warp_psdr.scene import Transform, describe_dict
-from warp_psdr.scene.bsdfs import IORS
-from warp_psdr.scene.materials import CONDUCTORS
+from warp_psdr.scene.materials.bsdfs import IORS
+from warp_psdr.scene.materials.conductors import CONDUCTORS
 
 
 def describe(**plugins):

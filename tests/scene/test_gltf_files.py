@@ -9,8 +9,8 @@ import pytest
 
 from tests.stability import corpus
 from warp_psdr.scene import describe_dict
-from warp_psdr.scene.gltf_files import Buffers
-from warp_psdr.scene.mesh_files import read_mesh
+from warp_psdr.scene.files.gltf_files import Buffers
+from warp_psdr.scene.files.mesh_files import read_mesh
 
 BUFFER = corpus.CORNERS.tobytes() + corpus.FACES.astype(np.uint16).tobytes()
 

@@ -9,7 +9,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr.scene import load
-from warp_psdr.scene.dictionary import describe_dict
+from warp_psdr.scene.files.dictionary import describe_dict
 
 SCENES = Path(__file__).resolve().parents[2] / "scenes"
 #: Rounding of a shape's pose, float32 in Mitsuba and float64 here.

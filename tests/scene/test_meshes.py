@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from warp_psdr.scene import Transform, describe_dict, describe_string
-from warp_psdr.scene.meshes import vertex_normals
+from warp_psdr.scene.shapes.meshes import vertex_normals
 
 FOLDED = """
 v 0 0 0

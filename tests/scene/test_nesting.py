@@ -70,7 +70,7 @@ def test_deep_dictionaries() -> None:
 
 
 def test_one_dictionary_in_many_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warp_psdr.scene.dictionary.DICTIONARIES_MAX", 1000)
+    monkeypatch.setattr("warp_psdr.scene.files.dictionary.DICTIONARIES_MAX", 1000)
     node: dict = {"type": "diffuse"}
     for _level in range(30):
         node = {"type": "blendbsdf", "weight": 0.5, "a": node, "b": node}

@@ -7,7 +7,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.scene import describe_dict
-from warp_psdr.scene.obj_files import read_obj
+from warp_psdr.scene.files.obj_files import read_obj
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvn 0 0 1\nvn 1 0 0\n"
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 import warp_psdr as psdr
 from warp_psdr.image_io import srgb_to_linear
-from warp_psdr.scene.dictionary import describe_dict
+from warp_psdr.scene.files.dictionary import describe_dict
 
 #: A square of two triangles with texture coordinates, then a triangle of another material.
 OBJ = """mtllib vase.mtl

@@ -17,8 +17,8 @@ from tests.media import test_grids
 from tests.scene import test_sdfgrid
 from tests.scene.test_volumes import header
 from warp_psdr.scene import edits, pages
-from warp_psdr.scene.super_grid import super_grid
-from warp_psdr.scene.volume_files import read_vol
+from warp_psdr.scene.files.volume_files import read_vol
+from warp_psdr.scene.media.super_grid import super_grid
 from warp_psdr.topology import unchanged
 
 #: Nodes along an axis of a grid that is large.

@@ -7,7 +7,7 @@ import warp as wp
 import warp_psdr as psdr
 from tests.gradients import measure, scenes
 from warp_psdr.scene.acceleration import Accelerator
-from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.lights.selection import Lights
 
 SIZE = scenes.SIZE
 ALBEDO, RADIANCE = "floor.bsdf.reflectance.value", "ceiling.emitter.radiance.value"

@@ -5,8 +5,8 @@ import io
 import numpy as np
 import pytest
 
-from warp_psdr.scene.mesh_files import read_mesh
-from warp_psdr.scene.ply_files import read_text_ply
+from warp_psdr.scene.files.mesh_files import read_mesh
+from warp_psdr.scene.files.ply_files import read_text_ply
 
 HEAD = (
     "ply\nformat ascii 1.0\ncomment made by hand\nelement vertex 4\nproperty float x\nproperty float y\n"

@@ -7,7 +7,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.scene.acceleration import Accelerator
-from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.lights.selection import Lights
 from warp_psdr.scene.poses import Poses
 from warp_psdr.scene.scene import Scene
 

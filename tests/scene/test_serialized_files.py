@@ -8,7 +8,7 @@ import pytest
 
 import warp_psdr as psdr
 from warp_psdr.scene import describe_dict
-from warp_psdr.scene.serialized_files import _EXPANSION
+from warp_psdr.scene.files.serialized_files import _EXPANSION
 
 VERTICES = np.array([[0, 0, 0], [1, 0, 0.1], [1, 1, 0.5], [0, 1, 0.3]])
 FACES = np.array([[0, 1, 2], [0, 2, 3]])

@@ -1,4 +1,4 @@
-"""Steps off surfaces and past edges in scenes of mixed scales (``kernels/step.py``, ``scene/steps.py``)."""
+"""Steps off surfaces and past edges in scenes of mixed scales (``kernels/step.py``, ``scene/shapes/steps.py``)."""
 
 import numpy as np
 import pytest

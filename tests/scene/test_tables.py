@@ -7,7 +7,7 @@ import warp as wp
 import warp_psdr as psdr
 from tests.bsdf import twins
 from warp_psdr.kernels.bsdf.roughplastic import HEADER, RESOLUTION
-from warp_psdr.scene.rough_transmittance import COSINES, albedo, through, transmittance
+from warp_psdr.scene.materials.rough_transmittance import COSINES, albedo, through, transmittance
 
 BRUSHED = {"type": "roughplastic", "alpha_u": 0.2, "alpha_v": 0.2}
 #: Error of the sums over slopes below, and of Smith's fit of Beckmann's masking, which the table has for one side.

@@ -35,8 +35,8 @@ from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, TEXTURE_CONSTAN
 from warp_psdr.kernels.emitter.area import area_density, make_area, pdf_area
 from warp_psdr.kernels.emitter.spot import falloff
 from warp_psdr.kernels.interaction import Frame, make_interaction
-from warp_psdr.kernels.interior.pullback import connection_vjp
-from warp_psdr.kernels.interior.tangents import log_geometry_jvp, make_frame_jvp
+from warp_psdr.kernels.interior.factors.pullback import connection_vjp
+from warp_psdr.kernels.interior.factors.tangents import log_geometry_jvp, make_frame_jvp
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene, Triangle

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.scene import acceleration, steps
+from warp_psdr.scene import acceleration
+from warp_psdr.scene.shapes import steps
 
 from .record import Case, parameters
 from .sweeps import VELOCITY, Result, apart, box, derivatives, passes, reference, room, slope_error

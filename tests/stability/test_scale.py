@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.scene import dictionary
+from warp_psdr.scene.files import dictionary
 
 from .record import Case, parameters
 from .sweeps import VELOCITY, derivatives, passes, rectangle, reference, room, slope_error, worst

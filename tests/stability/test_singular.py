@@ -18,7 +18,7 @@ from warp_psdr.kernels.emitter.directional import directional_dot
 from warp_psdr.kernels.emitter.point import point_dot
 from warp_psdr.kernels.emitter.spot import spot_dot
 from warp_psdr.kernels.fresnel import fresnel_conductor
-from warp_psdr.kernels.interior.pullback import tangent_frame_dot
+from warp_psdr.kernels.interior.factors.pullback import tangent_frame_dot
 from warp_psdr.kernels.sensor.camera import camera_dot, lens_dot, parallel_dot
 from warp_psdr.kernels.shape.normals import normalized_dot, weighted_normal_dot
 from warp_psdr.kernels.shape.transform import normal_dot

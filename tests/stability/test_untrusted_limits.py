@@ -62,7 +62,7 @@ def test_folders_to_look_in_are_counted(tmp_path: Path) -> None:
 
 
 def test_elements_are_counted_before_they_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warp_psdr.scene.xml._ELEMENTS_MAX", 100)
+    monkeypatch.setattr("warp_psdr.scene.files.xml._ELEMENTS_MAX", 100)
     with pytest.raises(ValueError, match="too many elements"):
         scene("<a/>" * 200)
 
@@ -181,7 +181,7 @@ def test_gltf_that_asks_for_too_much(content: bytes, message: str, tmp_path: Pat
 
 
 def test_gltf_that_repeats_a_mesh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warp_psdr.scene.gltf_files._NUMBERS_MAX", 1000)
+    monkeypatch.setattr("warp_psdr.scene.files.gltf_files._NUMBERS_MAX", 1000)
     corpus.write_beside(tmp_path, corpus.files(tmp_path))
     assert mesh(tmp_path, "a.gltf", changed(nodes=[{"mesh": 0}] * 10)).shapes
     with pytest.raises(ValueError, match="more than 1000 numbers, repetitions included"):

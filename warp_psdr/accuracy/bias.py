@@ -45,7 +45,8 @@ def named(what: Quantity) -> tuple[str, ...]:
     if plan.wanted is not None and plan.wanted.geometry and scene.contact_ratio > 0.0:
         found.append(
             f"where shapes touch: of the order of {scene.contact_ratio:.2g}, squared, in the light between them, and "
-            "of its first power in what was scattered close by before or near gaps (kernels/interior/contact.py)"
+            "of its first power in what was scattered close by before or near gaps "
+            "(kernels/interior/factors/contact.py)"
         )
     return tuple(found)
 

@@ -16,7 +16,7 @@ from warp_psdr.estimate.guiding import automatic
 from warp_psdr.estimate.passes import STREAM_INTERIOR, STREAM_PRIMAL, filter_margin, splats
 from warp_psdr.invalid import KINDS, NUMBERED, TRACED
 from warp_psdr.kernels.constants import RFILTER_BOX
-from warp_psdr.kernels.interior.media_sweep import explores_density
+from warp_psdr.kernels.interior.factors.media_sweep import explores_density
 from warp_psdr.kernels.path_media import MediaVertex
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.kernels.trace import make_media_trace_kernel, make_trace_kernel

@@ -141,8 +141,9 @@ class Resampled(Method):
     exponents, indices of refraction, weights of mixtures, opacities), one of them a sample. For weights, half of the
     candidates come from each end of the mixture. The second turn the normals of glossy surfaces (normal and bump maps,
     vertex normals, and positions, poses and cameras as far as they turn normals); a pair of directions, drawn by both
-    tilts, serves them (``kernels/interior/opposite.py``). Beside smooth mirrors and glass, vertices that move are
-    replayed. In scenes with participating media the method branches for `g` of `hg` alone. ``Replay()`` does the rest.
+    tilts, serves them (``kernels/interior/factors/opposite.py``). Beside smooth mirrors and glass, vertices that
+    move are replayed. In scenes with participating media the method branches for `g` of `hg` alone. ``Replay()``
+    does the rest.
 
     Attributes:
         candidates: number of directions, and of light points, that are compared where a path branches; a square.
@@ -223,7 +224,7 @@ class Attached(Method):
 
 @dataclass(frozen=True, kw_only=True)
 class Decomposed(Method):
-    """Derivatives of one sign each [BXB*24] (``kernels/interior/decomposed.py``, ``kernels/interior/mixtures.py``).
+    """Derivatives of one sign each [BXB*24] (``kernels/interior/decomposed.py``, ``factors/mixtures.py`` beside it).
 
     The method branches by the lobes of the derivative for roughnesses of `roughconductor` (either distribution),
     exponents of `ashikhminshirley` (isotropic or not), `A`, `B` and `C` of `abc`, `sigma` of `orennayar`, and `eta` of

@@ -11,10 +11,10 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_glossy_lobes, h
 from warp_psdr.kernels.constants import DELTA_LIGHTS, PHASE_HG, PHASE_ISOTROPIC, PHASE_RAYLEIGH
 from warp_psdr.kernels.interior.antithetic import make_pair_kernel
 from warp_psdr.kernels.interior.branch import make_branch_kernel
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.shape_parameters import branched_values, unsplit_values
+from warp_psdr.kernels.interior.factors.tilts import tilting_values, tilts
 from warp_psdr.kernels.interior.phase_branch import make_phase_branch_kernel
-from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
-from warp_psdr.kernels.interior.tilts import tilting_values, tilts
 from warp_psdr.kernels.medium.coefficients import PHASE
 from warp_psdr.options import interior
 from warp_psdr.options.words import WORDS

@@ -13,9 +13,9 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
-from warp_psdr.kernels.interior.mixtures import mixed_values
-from warp_psdr.kernels.interior.shape_parameters import branched_values, unsplit_values
-from warp_psdr.kernels.interior.tilts import tilting_values
+from warp_psdr.kernels.interior.factors.mixtures import mixed_values
+from warp_psdr.kernels.interior.factors.shape_parameters import branched_values, unsplit_values
+from warp_psdr.kernels.interior.factors.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
 from warp_psdr.plan.branches import drawn_by_choice, refused_by_antithetic, refused_by_branches, rest_of
 from warp_psdr.plan.interior import row_of
@@ -23,7 +23,7 @@ from warp_psdr.plan.replay import is_asked
 from warp_psdr.scene.layout import CAMERA, MATERIAL, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.plan.plan import Plan

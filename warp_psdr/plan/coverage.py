@@ -17,9 +17,9 @@ from warp_psdr.plan import discontinuities, media, primitives, reparametrised
 from warp_psdr.plan.discontinuities import Asked
 from warp_psdr.plan.motion import Motion, motion
 from warp_psdr.plan.needs import has_steps, needs, unknown_to_boundary
-from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
-from warp_psdr.scene.volume_pose import of
+from warp_psdr.scene.materials.bsdfs import model_of
+from warp_psdr.scene.media.volume_pose import of
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.options.integrator import AovIntegrator, Integrator, PathIntegrator
 from warp_psdr.options.interior import LightTracing
-from warp_psdr.scene.dictionary import describe_integrator
+from warp_psdr.scene.files.dictionary import describe_integrator
 from warp_psdr.scene.load import SceneWarning
 
 if TYPE_CHECKING:

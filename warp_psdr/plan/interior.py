@@ -18,10 +18,10 @@ from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.kernels.interior.attached import make_attached_kernel
 from warp_psdr.kernels.interior.bidirectional import make_bidirectional_kernel
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.media_sweep import explores_density
 from warp_psdr.kernels.interior.film_antithetic import make_film_antithetic_kernel
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
-from warp_psdr.kernels.interior.media_sweep import explores_density
 from warp_psdr.kernels.interior.media_textbook import make_media_textbook_kernel
 from warp_psdr.kernels.interior.pixel_border import make_pixel_border_kernel
 from warp_psdr.kernels.interior.radiative import make_radiative_kernel

@@ -24,7 +24,7 @@ from warp_psdr.scene.layout import LIGHT_POSE
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.plan.plan import Plan

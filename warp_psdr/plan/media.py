@@ -10,14 +10,14 @@ from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.plan.motion import motion, moves_in_media
-from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
+from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.absent import absent_shapes
 from warp_psdr.topology.edges_there import edges_there, joined
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 

@@ -12,7 +12,7 @@ from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.scene.scene import Scene
 
 

@@ -16,7 +16,7 @@ from warp_psdr.plan.motion import moves_in_media
 from warp_psdr.plan.words import CAMERA_NAMES
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.structs import Texture
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene

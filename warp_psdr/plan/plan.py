@@ -14,7 +14,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
@@ -27,7 +27,6 @@ from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
-from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -44,6 +43,7 @@ from warp_psdr.scene.layout import (
     TO_UV,
 )
 from warp_psdr.scene.loaded import check_loaded
+from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.scene.parameters import check_owner, parameter_of
 from warp_psdr.topology import contacts
 from warp_psdr.topology.interpolated_normals import interpolated_faces

@@ -12,10 +12,10 @@ from warp_psdr.kernels.primitive.kind import FLOWS
 from warp_psdr.options.boundary import Reparametrised
 from warp_psdr.options.words import Word
 from warp_psdr.plan.motion import motion
-from warp_psdr.scene.bsdfs import model_of
 from warp_psdr.scene.kinds import table
 from warp_psdr.scene.kinds.kind import geometry_of
 from warp_psdr.scene.kinds.neuralsdf import network_and_cells
+from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
 from warp_psdr.topology.exact_shapes import reaching

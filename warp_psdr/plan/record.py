@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from warp_psdr import html
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.boundary import Method
     from warp_psdr.plan.interior import Row

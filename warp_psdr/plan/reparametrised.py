@@ -35,7 +35,7 @@ from warp_psdr.topology.grid_silhouettes import grid_values
 from warp_psdr.topology.network_silhouettes import passed_cells
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.plan.replay import Kept

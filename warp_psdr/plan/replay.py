@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import warp as wp
 
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.forward import make_forward_kernel
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.media_motion_replay import make_media_motion_kernel
 from warp_psdr.kernels.interior.media_replay import make_media_replay_kernel
 from warp_psdr.kernels.interior.property import make_property_kernel

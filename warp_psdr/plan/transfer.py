@@ -16,7 +16,7 @@ from warp_psdr.topology.edges_there import edges_there, joined
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 

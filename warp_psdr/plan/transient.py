@@ -9,7 +9,7 @@ from warp_psdr.kernels.sensor.time_gate import PULSE_BOX, PULSE_DELTA, PULSE_GAU
 from warp_psdr.plan.replay import MOST_KEPT
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.description import TimeBins

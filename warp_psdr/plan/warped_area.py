@@ -26,7 +26,7 @@ from warp_psdr.topology.clip_planes import require_uncut
 from warp_psdr.topology.intersection_curves import scene_curves
 
 if TYPE_CHECKING:
-    from warp_psdr.kernels.interior.gradient_request import GradientRequest
+    from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
     from warp_psdr.scene.scene import Scene

@@ -1,6 +1,6 @@
 """Scenes: from Mitsuba 3 files and dictionaries to a validated description."""
 
-from .description import (
+from warp_psdr.scene.description import (
     BsdfDescription,
     EmitterDescription,
     FilmDescription,
@@ -9,9 +9,9 @@ from .description import (
     ShapeDescription,
     TextureDescription,
 )
-from .dictionary import describe_dict
-from .transforms import Transform
-from .xml import describe_file, describe_string
+from warp_psdr.scene.files.dictionary import describe_dict
+from warp_psdr.scene.files.xml import describe_file, describe_string
+from warp_psdr.scene.transforms import Transform
 
 __all__ = [
     "BsdfDescription",

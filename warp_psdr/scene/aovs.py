@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-from .errors import did_you_mean, error, listing
+from warp_psdr.scene.errors import did_you_mean, error, listing
 
 #: Types that are computed: Mitsuba's, and ``mask``, the share of a pixel's samples that meet a surface.
 TYPES = (

@@ -26,11 +26,11 @@ from warp_psdr.scene.layout import (
     TEXCOORDS,
     Layout,
 )
-from warp_psdr.scene.medium_records import MediaRecords
-from warp_psdr.scene.sky_model import TURBIDITIES
-from warp_psdr.scene.sunsky import SkyRecord
-from warp_psdr.scene.tables import PlacedTable
-from warp_psdr.scene.texture_records import TextureRecords, reads_mesh
+from warp_psdr.scene.lights.sky_model import TURBIDITIES
+from warp_psdr.scene.lights.sunsky import SkyRecord
+from warp_psdr.scene.materials.tables import PlacedTable
+from warp_psdr.scene.materials.texture_records import TextureRecords, reads_mesh
+from warp_psdr.scene.media.medium_records import MediaRecords
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import (

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .errors import (
+from warp_psdr.scene.errors import (
     LimitError,
     OutsideError,
     ReportedError,

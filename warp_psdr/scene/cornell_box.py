@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .transforms import Transform
+from warp_psdr.scene.transforms import Transform
 
 #: Reflectances of the walls and radiance of the light, linear RGB, as Mitsuba has them.
 _WHITE, _GREEN, _RED = (0.885809, 0.698859, 0.666422), (0.105421, 0.37798, 0.076425), (0.570068, 0.0430135, 0.0443706)

@@ -21,8 +21,8 @@ from warp_psdr.kernels.shape.normals import (
 )
 from warp_psdr.kernels.shape.transform import add_pose, pose_shape_jvp, pose_shape_vjp
 from warp_psdr.scene.layout import SHAPE_POSE
-from warp_psdr.scene.sunsky import pull_sky, push_sky, sky_ranges
-from warp_psdr.scene.volume_pose import INVERSE, of, pull_poses, push_poses
+from warp_psdr.scene.lights.sunsky import pull_sky, push_sky, sky_ranges
+from warp_psdr.scene.media.volume_pose import INVERSE, of, pull_poses, push_poses
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

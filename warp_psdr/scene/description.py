@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 if TYPE_CHECKING:
-    from .kinds.kind import Geometry
+    from warp_psdr.scene.kinds.kind import Geometry
 
 
 @dataclass(eq=False)

@@ -46,7 +46,7 @@ def load_file(
     Warns:
         SceneWarning: something in the scene is ignored, repaired or doubtful.
     """
-    from warp_psdr.scene.xml import describe_file
+    from warp_psdr.scene.files.xml import describe_file
 
     return _load(describe_file(path, allow_outside=allow_outside, **defaults), device, max_collisions)
 
@@ -66,7 +66,7 @@ def load_string(
     ``base`` stands for the scene's folder, which the names may then not leave. For text of strangers give ``base``, or
     ``allow_outside=False``.
     """
-    from warp_psdr.scene.xml import describe_string
+    from warp_psdr.scene.files.xml import describe_string
 
     if allow_outside is None:
         allow_outside = base is None
@@ -79,7 +79,7 @@ def load_dict(scene: dict, *, device: str | wp.Device | None = None, max_collisi
     Relative file names start from the current folder; the names are the program's own, so any file may be named. See
     ``load_file``.
     """
-    from warp_psdr.scene.dictionary import describe_dict
+    from warp_psdr.scene.files.dictionary import describe_dict
 
     return _load(describe_dict(scene), device, max_collisions)
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from .description import ShapeDescription
+    from warp_psdr.scene.description import ShapeDescription
 
 #: Distance of the centre, in radii along an axis, beyond which a scene is far away: three bits of 24 are lost there.
 FAR = 8.0

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from .errors import error
-from .plugins import Properties
+from warp_psdr.scene.errors import error
+from warp_psdr.scene.plugins import Properties
 
 _FOV_AXES = ("x", "y", "diagonal", "smaller", "larger")
 #: Diagonal of 35 mm film, in mm: what focal lengths refer to.

@@ -9,14 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from warp_psdr.kernels.bsdf.dispatch import COMPOSITES, MODELS
-
-from .catalogue import INSTEAD, MITSUBA, kind_of
-from .errors import ReportedError, SceneError, did_you_mean, error, listing
-from .kinds.table import KINDS
-from .transforms import FLOAT_MAX, as_matrix
+from warp_psdr.scene.catalogue import INSTEAD, MITSUBA, kind_of
+from warp_psdr.scene.errors import ReportedError, SceneError, did_you_mean, error, listing
+from warp_psdr.scene.kinds.table import KINDS
+from warp_psdr.scene.transforms import FLOAT_MAX, as_matrix
 
 if TYPE_CHECKING:
-    from .context import Context
+    from warp_psdr.scene.context import Context
 
 #: Supported plugins by the XML tag (category) that introduces them.
 PLUGINS: dict[str, tuple[str, ...]] = {

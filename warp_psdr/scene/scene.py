@@ -23,20 +23,20 @@ from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.derived_values import sum_of_normals
 from warp_psdr.scene.edits import Edits, State, check_media, has_results, write_parts
-from warp_psdr.scene.instances import Instances
 from warp_psdr.scene.kinds.kind import Geometry, geometry_of
 from warp_psdr.scene.kinds.records import Followers, update_record
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
-from warp_psdr.scene.lights import Lights
+from warp_psdr.scene.lights.selection import Lights
+from warp_psdr.scene.lights.sunsky import follow_sky
+from warp_psdr.scene.materials.tables import follow
+from warp_psdr.scene.media.super_grid import rebuild
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.pages import flat_values
 from warp_psdr.scene.poses import Poses
-from warp_psdr.scene.shading import shades_flat
-from warp_psdr.scene.steps import Boxes, Steps, find_steps, measure, second_width
+from warp_psdr.scene.shapes.instances import Instances
+from warp_psdr.scene.shapes.shading import shades_flat
+from warp_psdr.scene.shapes.steps import Boxes, Steps, find_steps, measure, second_width
 from warp_psdr.scene.summary import summary, tables
-from warp_psdr.scene.sunsky import follow_sky
-from warp_psdr.scene.super_grid import rebuild
-from warp_psdr.scene.tables import follow
 from warp_psdr.scene.world import World
 from warp_psdr.startup import device_named
 
@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 SPECK = 100.0
 #: Shapes narrower than this many steps past edges are noted: derivatives lack 4 % at 0.15 of them, and all at 0.1.
 HAIR = 0.2
-#: rho over the radius of the smaller of two shapes (``kernels/interior/contact.py``).
+#: rho over the radius of the smaller of two shapes (``kernels/interior/factors/contact.py``).
 CONTACT_RATIO = 2.0e-2
 #: Least radius and extent of a scene, in world units: one without triangles has neither, and both are divided by.
 LEAST_LENGTH = 1.0e-30
@@ -66,8 +66,8 @@ class Scene:
         origin: (3,) float64, world units: positions in ``values`` are relative to it (``warp_psdr.scene.origin``).
             Parameters are not.
         contact_ratio: Width of the strips on which the interior term is weighted where surfaces meet, over the smaller
-            of their radii (``warp_psdr.topology.patches``, ``kernels/interior/contact.py``). A narrower one has less
-            bias and more noise, of its inverse square root.
+            of their radii (``warp_psdr.topology.patches``, ``kernels/interior/factors/contact.py``). A narrower one has
+            less bias and more noise, of its inverse square root.
         parameters: Named stretches of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
@@ -152,7 +152,7 @@ class Scene:
 
     @property
     def shades_flat(self) -> bool:
-        """Whether interpolated normals are those of the triangles; see ``warp_psdr.scene.shading``."""
+        """Whether interpolated normals are those of the triangles; see ``warp_psdr.scene.shapes.shading``."""
         if self._shades_flat is None:
             self._shades_flat = shades_flat(self)
         return self._shades_flat

@@ -9,17 +9,16 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 
 from warp_psdr.kernels.constants import FAR
-
-from .description import FilmDescription, SensorDescription, TimeBins
-from .errors import error
-from .media import take_medium
-from .origin import moved
-from .pinhole import rigid_pose, x_fov
-from .plugins import PLUGINS, Properties, unsupported_plugin
-from .transforms import Transform
+from warp_psdr.scene.description import FilmDescription, SensorDescription, TimeBins
+from warp_psdr.scene.errors import error
+from warp_psdr.scene.media.coefficients import take_medium
+from warp_psdr.scene.origin import moved
+from warp_psdr.scene.pinhole import rigid_pose, x_fov
+from warp_psdr.scene.plugins import PLUGINS, Properties, unsupported_plugin
+from warp_psdr.scene.transforms import Transform
 
 if TYPE_CHECKING:
-    from .context import Context
+    from warp_psdr.scene.context import Context
 
 #: Degrees, of the camera of a scene without one.
 _DEFAULT_FOV = 45.0

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from .errors import SceneError
+from warp_psdr.scene.errors import SceneError
 
 #: Numbers are 32-bit on the device.
 FLOAT_MAX = float(np.finfo(np.float32).max)

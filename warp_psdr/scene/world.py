@@ -8,8 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 import warp as wp
 
-from .layout import Parameter
-from .origin import from_world, shift_of, to_world
+from warp_psdr.scene.layout import Parameter
+from warp_psdr.scene.origin import from_world, shift_of, to_world
 
 #: Steps of float32 world coordinates, over the scene's radius, to which edits may round without a warning: half a pixel
 #: of an image of a thousand, and the step of a slow optimiser.

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.bsdf.null import NULL
-from warp_psdr.scene.bsdfs import model_of
+from warp_psdr.scene.materials.bsdfs import model_of
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

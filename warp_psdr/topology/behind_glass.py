@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, EMITTER_PROJECTOR, SPOTS
-from warp_psdr.scene.bsdfs import model_of
+from warp_psdr.scene.materials.bsdfs import model_of
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Emitter

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.primitives import sphere
+from warp_psdr.scene.shapes.primitives import sphere
 from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, cut_grid
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
 from warp_psdr.topology.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, pose, rim_points, runs_through

@@ -9,7 +9,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.crossing.curve import CrossingCurves
-from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid, pierced_faces
 from warp_psdr.topology.crossing_fields import exact_field
 from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs

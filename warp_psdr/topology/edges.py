@@ -12,7 +12,7 @@ from warp_psdr import columns
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
 from warp_psdr.progress import say
-from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.topology.t_junctions import cut_sides
 from warp_psdr.topology.welding import components, stable_order, still_welded, weld, weld_shapes
 

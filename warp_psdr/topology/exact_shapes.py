@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.scene.kinds.affine import Exact
-from warp_psdr.scene.primitives import cylinder, disk, sphere
+from warp_psdr.scene.shapes.primitives import cylinder, disk, sphere
 from warp_psdr.topology.camera_view import camera_view
 
 if TYPE_CHECKING:

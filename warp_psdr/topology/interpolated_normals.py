@@ -8,8 +8,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import columns
-from warp_psdr.scene.light_sampling import cumulative
-from warp_psdr.scene.shading import normals_at_corners, vertex_normals
+from warp_psdr.scene.lights.light_sampling import cumulative
+from warp_psdr.scene.shapes.shading import normals_at_corners, vertex_normals
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import COPLANAR, normal_columns
 from warp_psdr.topology.film_edges import scatters

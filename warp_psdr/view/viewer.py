@@ -24,8 +24,8 @@ from warp_psdr.plots import (
     tonemap,
     write_picture,
 )
-from warp_psdr.scene.bsdfs import lets_through, model_of
 from warp_psdr.scene.description import SceneDescription, SensorDescription, ShapeDescription, TextureDescription
+from warp_psdr.scene.materials.bsdfs import lets_through, model_of
 from warp_psdr.view.fields import Arrows, Field, arrows, environment_field, mesh_field, texture_field, vertex_normals
 from warp_psdr.view.panels import Labels, arrangement, color_table
 from warp_psdr.view.surfaces import (

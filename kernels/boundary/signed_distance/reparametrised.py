@@ -2,8 +2,8 @@
 
 Paths have at most two vertices behind the camera. If rays move as the silhouettes do, they see no moving discontinuity
 [VSJ22]. The integral of h L over the directions w of the camera's rays then has the derivative d(h L), with the ray
-attached to w' = V, plus h L div V. Record and sweep has the adjoint of that ray (``interior/sweep.py``). Light that a
-vertex finds moves its rays in the same way, from that vertex.
+attached to w' = V, plus h L div V. Record and sweep has the adjoint of that ray (``interior/factors/sweep.py``). Light
+that a vertex finds moves its rays in the same way, from that vertex.
 
 Derivation: ``docs/theory/signed_distances.md#moving-integrals``.
 """
@@ -24,11 +24,11 @@ from warp_psdr.kernels.boundary.signed_distance.warp_field import (
 from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH, RFILTER_BOX
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.interior.film_antithetic import make_filter_slope, make_spread_offset, spread_density
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

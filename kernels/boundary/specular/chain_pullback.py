@@ -2,8 +2,8 @@
 
 As in the interior term (``interior/replay.py``), a point of the path is attached to the ray that found it if a camera
 or a delta lobe sent that ray, and is a material point otherwise. This file is the backward sweep
-(``interior/sweep.py``) for one ray in place of a radiance. It ends at the camera, or at the first material point whose
-predecessor does not matter.
+(``interior/factors/sweep.py``) for one ray in place of a radiance. It ends at the camera, or at the first material
+point whose predecessor does not matter.
 """
 
 import functools
@@ -13,9 +13,9 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_material_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink
 from warp_psdr.kernels.primitive.dispatch import has_sliding, make_adjoint_sink, slides_on
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene

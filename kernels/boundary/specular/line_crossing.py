@@ -23,7 +23,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.primitive.dispatch import has_sliding, make_adjoint_sink

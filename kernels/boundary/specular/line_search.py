@@ -25,7 +25,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.modules import wide_vectors

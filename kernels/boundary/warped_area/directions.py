@@ -12,8 +12,8 @@ from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle
 from warp_psdr.kernels.constants import EMITTER_AREA, LOBE_SMOOTH
 from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
-from warp_psdr.kernels.interior.factors import make_light_sink
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import make_light_sink
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.structs import Scene

@@ -21,9 +21,9 @@ from warp_psdr.kernels.boundary.warped_area.material_motion import make_material
 from warp_psdr.kernels.boundary.warped_area.warp_motion import make_warp_motion
 from warp_psdr.kernels.constants import EMITTER_AREA
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors

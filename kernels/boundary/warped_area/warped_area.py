@@ -2,8 +2,8 @@
 
 The directions w of a path's rays move by a field V(w) that is continuous and moves with every edge, so that they meet
 no moving discontinuity. The integral of f L over the directions from a vertex then has the derivative d(f L), with the
-ray attached to w' = V, plus f L div V. Record and sweep (``interior/sweep.py``) therefore finds every vertex by the ray
-from the one before it, lights included, and hands the adjoint of the ray's direction to its auxiliary rays.
+ray attached to w' = V, plus f L div V. Record and sweep (``interior/factors/sweep.py``) therefore finds every vertex by
+the ray from the one before it, lights included, and hands the adjoint of the ray's direction to its auxiliary rays.
 
 Derivation: ``docs/theory/reparameterisation.md``.
 """
@@ -20,9 +20,9 @@ from warp_psdr.kernels.boundary.warped_area.directions import make_direction_fro
 from warp_psdr.kernels.boundary.warped_area.ray_motion import make_ray_motion
 from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.interior.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.sweep import Carry, make_sweep
-from warp_psdr.kernels.interior.velocities import axis_vec3
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sweep import Carry, make_sweep
+from warp_psdr.kernels.interior.factors.velocities import axis_vec3
 from warp_psdr.kernels.invalid import count_invalid, finite, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.modules import wide_vectors

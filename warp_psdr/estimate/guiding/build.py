@@ -20,7 +20,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.guiding.cells import Cells, Node
-from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.scene.lights.light_sampling import cumulative
 
 if TYPE_CHECKING:
     from warp_psdr.estimate.boundary.terms import Request

@@ -12,7 +12,7 @@ import numpy as np
 from warp_psdr.options.words import words
 from warp_psdr.scene.errors import error
 from warp_psdr.scene.kinds.kind import Geometry
-from warp_psdr.scene.primitives import Tessellation, surface_area
+from warp_psdr.scene.shapes.primitives import Tessellation, surface_area
 
 if TYPE_CHECKING:
     from warp_psdr.scene.plugins import Properties

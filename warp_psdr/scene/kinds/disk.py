@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from warp_psdr.kernels.primitive.disk import DISK
-from warp_psdr.scene import primitives
 from warp_psdr.scene.kinds.affine import Exact, corners_of
+from warp_psdr.scene.shapes import primitives
 
 
 class Disk(Exact):

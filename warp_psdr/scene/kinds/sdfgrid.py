@@ -12,10 +12,10 @@ from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.options.words import words
 from warp_psdr.scene.errors import SceneError, error
+from warp_psdr.scene.files.volume_files import MOST_VALUES, read_vol
 from warp_psdr.scene.kinds.kind import Geometry
 from warp_psdr.scene.kinds.zero_set import ZeroSet
 from warp_psdr.scene.layout import SHAPE_GRID, Layout
-from warp_psdr.scene.volume_files import MOST_VALUES, read_vol
 
 if TYPE_CHECKING:
     from warp_psdr.scene.plugins import Properties

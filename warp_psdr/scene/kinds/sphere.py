@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels.primitive.sphere import SPHERE
-from warp_psdr.scene import primitives
 from warp_psdr.scene.kinds.affine import Exact, corners_of
+from warp_psdr.scene.shapes import primitives
 from warp_psdr.scene.transforms import Transform
 
 if TYPE_CHECKING:

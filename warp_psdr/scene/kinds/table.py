@@ -16,7 +16,7 @@ from warp_psdr.scene.kinds.linearcurve import LinearCurve
 from warp_psdr.scene.kinds.neuralsdf import Network
 from warp_psdr.scene.kinds.sdfgrid import CubicSdfGrid, SdfGrid
 from warp_psdr.scene.kinds.sphere import Sphere
-from warp_psdr.scene.primitives import Tessellation, cube, rectangle
+from warp_psdr.scene.shapes.primitives import Tessellation, cube, rectangle
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,7 +13,7 @@ from warp_psdr.kernels.structs import Emitter
 from warp_psdr.kernels.structs import Scene as SceneData
 from warp_psdr.options.boundary import EdgeSampling
 from warp_psdr.plan.motion import moving_shapes
-from warp_psdr.scene.light_sampling import cumulative
+from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 

@@ -1,0 +1,1 @@
+"""Factors that the methods of the interior term share: sweeps, sinks, velocities, and what moves."""

@@ -1,0 +1,156 @@
+"""The sinks for the adjoints of a vertex's factors: material values, and the light that next-event estimation found."""
+
+import functools
+
+import warp as wp
+
+from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
+from warp_psdr.kernels.emitter.area import make_area, make_light_uv
+from warp_psdr.kernels.emitter.dispatch import make_lights
+from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.pullback import connection_vjp
+from warp_psdr.kernels.material import slot_at
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
+from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.texture.gradient import make_reader_sink
+from warp_psdr.kernels.texture.texture import make_texture_sink
+from warp_psdr.kernels.vertex import PathConfig, PathVertex
+
+
+@functools.cache
+def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
+    """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
+    scope = {
+        "record": make_bsdf(config.bsdfs).record,
+        "Scene": Scene,
+        "VertexAdjoint": VertexAdjoint,
+        "anchor": anchor,
+        "slot_at": slot_at,
+    }
+    lines = [
+        "def accumulate_material(",
+        "    scene: Scene, target: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
+        "    v: wp.float32, uv: wp.vec2, m: record, adjoint: VertexAdjoint,",
+        ") -> tuple[VertexAdjoint, wp.float32]:",
+        "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
+        "    a = adjoint",
+        "    total = wp.float32(0.0)",
+    ]
+    for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
+        if slot.kinds and (values or wanted.geometry or wanted.to_uv):
+            scope[f"push_{k}"] = make_reader_sink(role, slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
+            value = f"m.{slot.name}" if slot.color else f"wp.vec3(m.{slot.name}, 0.0, 0.0)"
+            lines += [
+                f"    i{k} = slot_at(scene, slots, {k})",
+                f"    if i{k} >= 0:",
+                f"        t{k} = push_{k}(scene, target, i{k}, face, u, v, uv, {value})",
+                f"        total += t{k}.dot",
+                f"        a.uv += t{k}.uv",
+                f"        a.u += t{k}.u",
+                f"        a.v += t{k}.v",
+            ]
+    lines.append("    return a, total\n")
+    return make_generated("\n".join(lines), **scope)
+
+
+@functools.cache
+def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, links: bool = True):
+    """Return ``accumulate_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
+
+    ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the
+    connection with a point of an area light is the caller's to pull.
+    """
+    corners = wanted.texcoords or (links and wanted.shapes)
+    light_uv = make_light_uv(config.shining)
+    emitted = make_area(config.area, config.shining).emitted if config.area else None
+    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
+    sample = lights.sample if lights else None
+    sample_vjp = lights.sample_vjp if lights else None
+    environment_vjp = lights.environment_vjp if lights else None
+    environment_eval = lights.environment_eval if lights else None
+    has_area = bool(config.area)
+    has_environment = environment_eval is not None
+    has_delta_lights = sample_vjp is not None
+    accumulate_radiance = (
+        make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
+    )
+    accumulate_vertex = make_adjoint_sink(
+        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False, config.primitives
+    )
+    position, cross_of = make_position(config.primitives)
+
+    @wp.func
+    def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:
+        emitter = scene.emitters[vertex.light]
+        if wp.static(has_area):
+            if emitter.kind == EMITTER_AREA:
+                return emitted(scene, emitter, vertex.light_face, vertex.light_u, vertex.light_v, vertex.light_wi)
+        if wp.static(has_environment):
+            if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
+                return environment_eval(scene, vertex.light_wi)
+        if wp.static(has_delta_lights):
+            return sample(scene, emitter, x, wp.vec2(0.0, 0.0)).radiance
+        return wp.vec3(0.0, 0.0, 0.0)
+
+    @wp.func
+    def accumulate_light(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        vertex: PathVertex,
+        x: wp.vec3,
+        w_radiance: wp.vec3,
+        value: wp.float32,
+        a_wo: wp.vec3,
+        chi: wp.float32,
+    ) -> tuple[wp.vec3, wp.float32]:
+        """Adjoint of x; ``w_radiance``: adjoint of the radiance, ``value``: A . D_n, ``a_wo``: of the direction.
+
+        ``chi``: ``weight_of_light``, which ``a_wo`` has already.
+        """
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        total = wp.float32(0.0)
+        a_x = wp.vec3(0.0, 0.0, 0.0)
+        emitter = scene.emitters[vertex.light]
+        if wp.static(has_area):
+            if emitter.kind == EMITTER_AREA:
+                face = vertex.light_face
+                uv = light_uv(scene, face, vertex.light_u, vertex.light_v)
+                adjoint = VertexAdjoint()
+                if wp.static(wanted.radiance or wanted.to_uv or wanted.texcoords):
+                    ta = accumulate_radiance(
+                        scene, target, emitter.texture, face, vertex.light_u, vertex.light_v, uv, w_radiance
+                    )
+                    total += ta.dot
+                    adjoint.uv = ta.uv
+                if wp.static(links and wanted.geometry):
+                    tri = scene.triangles[face]
+                    y = position(tri, vertex.light_u, vertex.light_v)
+                    cross = cross_of(tri, vertex.light_u, vertex.light_v)
+                    link = connection_vjp(x, y, cross, vertex.light_wi, a_wo, value, chi)
+                    a_x = link.x
+                    adjoint.x = -link.x
+                    adjoint.c = link.c
+                if wp.static(corners):
+                    accumulated = accumulate_vertex(
+                        scene, target, face, vertex.light_u, vertex.light_v, adjoint, False, x, a_wo
+                    )
+                    total += accumulated.dot
+                return a_x, total
+        if wp.static(has_environment):
+            if emitter.kind == EMITTER_CONSTANT or emitter.kind == EMITTER_ENVMAP:
+                if wp.static(len(wanted.lights) > 0):
+                    ea = environment_vjp(scene, target, vertex.light_wi, w_radiance)
+                    total += ea.dot
+                return a_x, total
+        if wp.static(has_delta_lights):
+            if wp.static(len(wanted.lights) > 0 or wanted.geometry):
+                la = sample_vjp(scene, target, emitter, x, vertex.light_wi, w_radiance, a_wo)
+                total += la.dot
+                a_x = la.x
+        return a_x, total
+
+    return radiance_of, accumulate_light

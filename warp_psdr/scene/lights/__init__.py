@@ -1,0 +1,1 @@
+"""Light sources and the sky."""

@@ -1,0 +1,1 @@
+"""Scattering models, textures and colours."""

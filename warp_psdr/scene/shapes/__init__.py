@@ -1,0 +1,1 @@
+"""Shapes made of triangles, their copies and groups."""
