@@ -159,7 +159,7 @@ def test_what_it_does_not_differentiate_is_refused_by_name():
     film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
     meter = {"type": "radiancemeter", "origin": [0.0, 0.0, 1.5], "direction": [0.0, 0.1, -1.0], "film": film}
     scene = psdr.load_dict({**under_water(), "camera": meter})
-    with pytest.raises(ValueError, match=r"caustics=True: no light path meets the one ray.*caustics=False"):
+    with pytest.raises(ValueError, match=r"caustics=True: light tracing does not know the one ray.*caustics=False"):
         psdr.plan(scene, integrator=psdr.PathIntegrator(caustics=True))
     assert said_of(scene)[0][0] == "left out"
     with pytest.raises(ValueError, match="caustics: got 1, expected True, False or 'auto'"):

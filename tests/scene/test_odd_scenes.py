@@ -172,5 +172,5 @@ def test_no_light_path_is_joined_where_nothing_scatters_it_to_the_camera() -> No
     camera = {"type": "perspective", "to_world": LOOK((0, 0, 5), (0, 0, 0), (0, 1, 0))}
     scene = psdr.load_dict({"type": "scene", "camera": camera, "a": ball(bsdf=MIRROR), "lamp": POINT})
     assert psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4)).light is None
-    with pytest.raises(ValueError, match="caustics=True: no surface scatters light towards the camera"):
+    with pytest.raises(ValueError, match="caustics=True: light tracing finds no surface that scatters light"):
         psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=4, caustics=True))

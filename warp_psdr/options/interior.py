@@ -110,7 +110,9 @@ class Bidirectional(Method):
         block: K, as of ``Replay``; with "all" the whole path is kept.
     """
 
-    knows: ClassVar[frozenset[str]] = COMMON - words("radiancemeter", "hide_emitters") | words("moving_mirrors")
+    knows: ClassVar[frozenset[str]] = COMMON - words("radiancemeter", "hide_emitters", "moving_vertices") | words(
+        "moving_mirrors"
+    )
 
     connections: str = "light"
     block: int = 8
@@ -335,7 +337,16 @@ class FilmAntithetic(Method):
     """
 
     knows: ClassVar[frozenset[str]] = words(
-        *("vertex_normals", "rough_glass", "turned_normals", "steps", "point_lights", "far_lights", "hide_emitters")
+        *(
+            "moving_vertices",
+            "vertex_normals",
+            "rough_glass",
+            "turned_normals",
+            "steps",
+            "point_lights",
+            "far_lights",
+            "hide_emitters",
+        )
     )
 
     mirrored: bool = True

@@ -33,6 +33,10 @@ WORDS = {
     # Materials
     "mirrors": Word("smooth mirrors and glass", "make them rough"),
     "moving_mirrors": Word("moving vertices behind smooth mirrors or glass", "make these rough"),
+    "moving_vertices": Word(
+        "what moves vertices of its paths: shapes, cameras, and what turns rays",
+        "use interior.LightTracing() with boundary=None",
+    ),
     "rough_glass": Word("a smooth lobe behind a surface", "use a 'dielectric'"),
     "null": Word("masks, thin glass and 'null', which rays pass", "use meshes with holes"),
     "turned_normals": Word("normal and bump maps", "leave them out"),
@@ -74,6 +78,7 @@ def words(*names: str) -> frozenset[str]:
 
 #: What paths from the camera meet without knowing it.
 COMMON = words(
+    "moving_vertices",
     *("vertex_normals", "mirrors", "rough_glass", "null", "turned_normals", "steps"),
     *("point_lights", "far_lights", "hide_emitters", "hidden_lights", "shining"),
     *("thinlens", "orthographic", "radiancemeter", "irradiancemeter"),

@@ -47,7 +47,6 @@ from warp_psdr.plan.branches import (
     refused_by_resampled,
 )
 from warp_psdr.plan.film_antithetic import refused_on_the_film, sees_a_room
-from warp_psdr.plan.light import refused_by_bidirectional
 from warp_psdr.plan.motion import moves_in_media
 from warp_psdr.plan.reparametrised import make_reparametrised
 from warp_psdr.plan.replay import (
@@ -308,6 +307,5 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         label="bidirectional record and sweep",
         keep=keep_blocks,
         make=_make_bidirectional,
-        refuse=refused_by_bidirectional,
     ),
 }

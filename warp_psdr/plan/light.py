@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_smooth_lobes, models_of
 from warp_psdr.kernels.constants import (
     CAMERA_IRRADIANCEMETER,
-    CAMERA_RADIANCEMETER,
     DELTA_LIGHTS,
     EMITTER_CONSTANT,
     EMITTER_ENVMAP,
@@ -18,15 +17,19 @@ from warp_psdr.kernels.constants import (
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
 from warp_psdr.plan.coverage import edge_of_light
-from warp_psdr.plan.motion import motion
+from warp_psdr.plan.motion import motion, moves_vertices
+from warp_psdr.plan.needs import unknown
 from warp_psdr.plan.replay import MOST_KEPT, Kept, keep_blocks
 from warp_psdr.scene.layout import LIGHT_POSE
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
+    from warp_psdr.options.words import Word
     from warp_psdr.plan.plan import Plan
     from warp_psdr.scene.scene import Scene
 
@@ -128,12 +131,6 @@ def passes(
     return LightTracing(method, config, camera, wanted, joins, moves=moves)
 
 
-def moves_vertices(config: PathConfig, wanted: GradientRequest) -> bool:
-    """Whether vertices of light paths move: by geometry, or by a light of no area whose rays mirrors and glass turn."""
-    turned = "pose" in wanted.lights and DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs)
-    return wanted.geometry or bool(turned)
-
-
 def refused_while_vertices_move(
     scene: Scene, config: PathConfig, wanted: GradientRequest, integrator: PathIntegrator, names: list[str]
 ) -> str:
@@ -169,18 +166,6 @@ def refused_while_vertices_move(
     return ""
 
 
-def refused_by_bidirectional(config: PathConfig, wanted: GradientRequest) -> str:
-    """Return why paths that are joined in the middle cannot compute derivatives; empty: they can."""
-    if moves_vertices(config, wanted):
-        return (
-            "interior.Bidirectional() differentiates what moves no vertices of its paths: materials, textures, "
-            "radiances, intensities, and poses of lights in scenes without mirrors, glass and masks. What moves "
-            "shapes, normals, texture coordinates or the camera, or turns rays, as the index of refraction of glass "
-            "does, takes interior.Replay(), or interior.LightTracing() with boundary=None"
-        )
-    return ""
-
-
 def left_out(config: PathConfig) -> list[tuple[str, str, str]]:
     """Return the plan's line of light that no path from the camera finds, if there is any.
 
@@ -210,6 +195,7 @@ def joined(
     automatic: bool,
     names: list[str],
     moving: tuple[str, ...],
+    needed: Mapping[str, Word],
 ) -> tuple[LightTracing | None, list[tuple[str, str, str]]]:
     """Return the light paths that join those of the camera, if any do, and what the plan says.
 
@@ -221,14 +207,17 @@ def joined(
         automatic: whether the plan has chosen that method.
         names: what is requested.
         moving: what moves discontinuities.
+        needed: words of the scene and the request.
 
     Raises:
         ValueError: they join, and what is requested is not differentiated through them, or they were asked for and
             cannot join.
     """
-    reason = _cannot_join(config)
+    reason = unknown(interior.LightTracing(), needed, ())
+    if not reason and not has_smooth_lobes(config.bsdfs):
+        reason = "finds no surface that scatters light towards the camera but by mirrors and glass"
     if integrator.caustics is True and reason:
-        raise ValueError(f"caustics=True: {reason}; say caustics=False")
+        raise ValueError(f"caustics=True: light tracing {reason}; or say caustics=False")
     if config.media is not None or integrator.max_depth == 1:
         return None, []
     if not has_caustics(config) or 0 < integrator.max_depth < SHORTEST or reason or integrator.caustics is False:
@@ -255,21 +244,6 @@ def joined(
     kept = keep_blocks(interior.Replay(), integrator.max_depth, integrator.rr_depth) if wanted is not None else None
     light = LightTracing(interior.LightTracing(), own, config, wanted, True, kept, moves)
     return light, [(BY_GLASS, "light tracing joins", why)]
-
-
-def _cannot_join(config: PathConfig) -> str:
-    """Say why light paths cannot join those of the camera; empty: they can."""
-    if config.media is not None:
-        return "light paths are not followed through participating media"
-    if config.primitives:
-        return "light paths do not meet shapes without triangles"
-    if config.pulse:
-        return "light paths are not timed"
-    if config.camera == CAMERA_RADIANCEMETER:
-        return "no light path meets the one ray of a 'radiancemeter'"
-    if not has_smooth_lobes(config.bsdfs):
-        return "no surface scatters light towards the camera but by mirrors and glass"
-    return ""
 
 
 def refuse_connected(plan: Plan, who: str) -> None:

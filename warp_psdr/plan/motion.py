@@ -8,11 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import warp as wp
 
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+    from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
 
@@ -58,6 +61,12 @@ def motion(scene: Scene, names: list[str]) -> Motion:
 def moves_in_media(wanted: GradientRequest) -> bool:
     """Whether path vertices, lights, directions or grids of media move."""
     return wanted.geometry or "pose" in wanted.lights or POSE in wanted.media
+
+
+def moves_vertices(config: PathConfig, wanted: GradientRequest) -> bool:
+    """Whether vertices of paths move: by geometry, or by a light of no area whose rays mirrors and glass turn."""
+    turned = "pose" in wanted.lights and c.DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs)
+    return wanted.geometry or bool(turned)
 
 
 def moving_shapes(scene: Scene, moves: Motion) -> wp.array:

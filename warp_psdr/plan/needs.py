@@ -12,7 +12,7 @@ from warp_psdr.options import boundary, interior
 from warp_psdr.options.guiding import Grid
 from warp_psdr.options.words import APART, NEVER, WORDS, Word
 from warp_psdr.plan import primitives
-from warp_psdr.plan.motion import moves_in_media
+from warp_psdr.plan.motion import moves_in_media, moves_vertices
 from warp_psdr.plan.words import CAMERA_NAMES
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         "null": delta and has_null_lobes(config.bsdfs),
         "mirrors": delta,
         "moving_mirrors": delta and geometry,
+        "moving_vertices": wanted is not None and moves_vertices(config, wanted),
         "rough_glass": bool(rough),
         "turned_normals": any(model.framed for model in models_of(config.bsdfs)),
         "vertex_normals": config.smooth and not scene.shades_flat,

@@ -6,21 +6,19 @@ compile time.
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
-from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, reparametrised, transient
-from warp_psdr.plan.coverage import choose, has_hard_frame, refuse_own_shape, slides_steps, sliding_heights
+from warp_psdr.plan.coverage import choose, edge_of_light, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.interior import row_of
 from warp_psdr.plan.light import joined, passes
@@ -55,6 +53,11 @@ if TYPE_CHECKING:
 #: What gradients leave out under normal and bump maps.
 FLIPPED = "derivatives leave out the jump where a normal turns away from the viewer, and is flipped or black"
 HOLD_STILL = "hold the shape and the camera still before it, or use a normal map"
+#: Edges in which light ends, and the parameters besides the pose that move them.
+EDGES = {
+    "spot": ("the hard edge of the cone (beam_width reaches cutoff_angle)", ("cutoff_angle", "beam_width")),
+    "projector": ("the edge of the projected image", ("x_fov",)),
+}
 #: Shapes that a line of the plan names.
 NAMED = 3
 
@@ -126,7 +129,8 @@ def decide(
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
     properties.refuse(scene, config, names, sensor)
-    needs.refuse(method, needs.needs(scene, config, wanted), names)
+    needed = needs.needs(scene, config, wanted)
+    needs.refuse(method, needed, names)
     reason = media.beside_motion(scene, config, wanted) or transient.refused(config, integrator, wanted)
     if reason:
         raise ValueError(f"derivatives by {', '.join(names)}: {reason}")
@@ -194,7 +198,7 @@ def decide(
         config = light.paths
         lines.append(light.line)
     else:
-        light, by_glass = joined(scene, config, wanted, integrator, automatic, names, moving)
+        light, by_glass = joined(scene, config, wanted, integrator, automatic, names, moving, needed)
         lines += by_glass
     return Plan(
         config,
@@ -463,19 +467,11 @@ def _moving_lights(scene: Scene) -> dict[str, str]:
     found: dict[str, str] = {}
     if scene.face_count == 0 and not scene.builder.primitives:
         return found
-    values = scene.values.numpy()
     for e, record in zip(scene.description.emitters, scene.builder.emitters, strict=True):
         if e.kind in ("point", "spot", "projector", "directional"):
-            pose = "sun_direction" if e.sky is not None else "to_world"
-            found[f"{e.path}.{pose if e.position is None else 'position'}"] = "hard shadows"
-        if e.kind == "spot":
-            cutoff, beam = values[record.cutoff : record.cutoff + 2].tolist()
-            if math.radians(cutoff - beam) <= MIN_FALLOFF:
-                edge = "the hard edge of the cone (beam_width reaches cutoff_angle)"
-                found[f"{e.path}.to_world"] += f" and {edge}"
-                found[f"{e.path}.cutoff_angle"] = found[f"{e.path}.beam_width"] = edge
-        if e.kind == "projector" and has_hard_frame(scene, record):
-            edge = "the edge of the projected image"
-            found[f"{e.path}.to_world"] += f" and {edge}"
-            found[f"{e.path}.x_fov"] = edge
+            pose = "sun_direction" if e.sky is not None else "to_world" if e.position is None else "position"
+            edge = EDGES[e.kind][0] if edge_of_light(scene, record) else ""
+            found[f"{e.path}.{pose}"] = f"hard shadows and {edge}" if edge else "hard shadows"
+            if edge:
+                found |= {f"{e.path}.{name}": edge for name in EDGES[e.kind][1]}
     return found

@@ -60,36 +60,41 @@ def words(scene: Scene) -> dict[str, Word]:
     return found
 
 
+def _told(scene: Scene, pair: tuple[int, int] | None, sentence: str) -> str:
+    """Return a sentence about two shapes, {a} and {b}; empty: there are none."""
+    a, b = (scene.description.shapes[i].path for i in pair) if pair is not None else ("", "")
+    return sentence.format(a=repr(a), b=repr(b)) if pair is not None else ""
+
+
 def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what exact shapes run through, or touch, along a curve without a term; empty: nothing."""
     moves = motion(scene, names)
     moved, joined = None if moves.camera else moves.shapes, joined_rims(scene)
-    if joined.bared:
-        a, b = (scene.description.shapes[i] for i in joined.bared[0])
-        return f"{a.path!r} lies in the surface of {b.path!r}, which closes the cylinder by itself; leave it out"
-    pair = reaching(scene, moved)
-    if pair is not None:
-        a, b = (scene.description.shapes[i] for i in pair)
-        return (
-            f"{b.path!r} reaches into the box around {a.path!r}, whose curves of intersection are not known; move them "
-            "apart"
+    bared, rims = (next(iter(pairs), None) for pairs in (joined.bared, joined.pairs))
+    rims, hidden = rims if has_delta_lobes(config.bsdfs) else None, integrator.hide_emitters
+    return (
+        _told(scene, bared, "{a} lies in the surface of {b}, which closes the cylinder by itself; leave it out")
+        or _told(
+            scene,
+            reaching(scene, moved),
+            "{b} reaches into the box around {a}, whose curves of intersection are not known; move them apart",
         )
-    pair = touching_pair(scene, moved) or touched(scene, moved)
-    if pair is not None:
-        a, b = (scene.description.shapes[i] for i in pair)
-        return (
-            f"{b.path!r} touches {a.path!r} along a line that moves; lift one off the other, or let one reach into the "
-            "other"
+        or _told(
+            scene,
+            touching_pair(scene, moved) or touched(scene, moved),
+            "{b} touches {a} along a line that moves; lift one off the other, or let one reach into the other",
         )
-    if joined.pairs and has_delta_lobes(config.bsdfs):
-        a, b = (scene.description.shapes[i] for i in joined.pairs[0])
-        where = f"{a.path!r} and {b.path!r} join at a rim"
-        return f"{where}, which is not followed through smooth mirrors and glass; make them rough"
-    pair = crossed_light(scene) if integrator.hide_emitters else None
-    if pair is not None:
-        a, b = (scene.description.shapes[i] for i in pair)
-        return f"{b.path!r}, a light that hide_emitters hides, runs through the surface of {a.path!r}; move them apart"
-    return ""
+        or _told(
+            scene,
+            rims,
+            "{a} and {b} join at a rim, which is not followed through smooth mirrors and glass; make them rough",
+        )
+        or _told(
+            scene,
+            crossed_light(scene) if hidden else None,
+            "{b}, a light that hide_emitters hides, runs through the surface of {a}; move them apart",
+        )
+    )
 
 
 def _of_mirrors(scene: Scene) -> str:
@@ -137,14 +142,11 @@ def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
     for find, surface in ((pierced_grid, "surface"), (pierced_tubes, "tubes")):
         pair = kept(scene, (surface, moved), functools.partial(find, scene, moved))
         if pair is not None:
-            a, b = (shapes[i].path for i in pair)
-            what = f"{b!r} runs through the {surface} of {a!r}" if a != b else f"tubes of {a!r} run through each other"
-            return f"{what}, along a curve that moves; move them apart"
+            through = f"{{b}} runs through the {surface} of {{a}}"
+            what = through if pair[0] != pair[1] else "tubes of {a} run through each other"
+            return _told(scene, pair, f"{what}, along a curve that moves; move them apart")
     pair = kept(scene, ("resting end", moved), lambda: resting_end(scene, moved))
-    if pair is not None:
-        a, b = (shapes[i].path for i in pair)
-        return f"an open end of {a!r} lies on {b!r}, along a line that moves; sink it in or lift it off"
-    return ""
+    return _told(scene, pair, "an open end of {a} lies on {b}, along a line that moves; sink it in or lift it off")
 
 
 def _is_open(scene: Scene, shape: int) -> bool:

@@ -81,10 +81,15 @@ def refused(
     scene: Scene, config: PathConfig, integrator: PathIntegrator, method: Method, names: list[str], sensor: int
 ) -> str:
     """Say why rays that move are not right; empty: they are, or they stay."""
+    if not isinstance(method, (AuxiliaryRays, Distances)):
+        return ""
+    if isinstance(method, Reparametrised) and not isinstance(integrator.interior, interior.Replay):
+        return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
+    film = camera_view(scene, sensor).camera
+    if film.filter == c.RFILTER_BOX and film.filter_radius != 0.5:
+        return f"a box filter of the radius {film.filter_radius} overlaps its neighbours; give it 0.5"
     if isinstance(method, AuxiliaryRays):
         return warped_area.refused(scene, config, integrator, method, names, sensor)
-    if not isinstance(method, Distances):
-        return ""
     return (
         _of_request(scene, config, integrator, names)
         or _of_camera(scene, config, sensor)
@@ -105,8 +110,6 @@ def prepare(scene: Scene, method: Method) -> None:
 def _of_request(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what is asked for beyond one signed distance that moves; empty: nothing."""
     shapes, held = scene.description.shapes, scene.builder.primitives
-    if not isinstance(integrator.interior, interior.Replay):
-        return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
     if len(held) != 1:
         found = ", ".join(repr(shapes[i].path) for i in held) or "none (say 'exact' of a sphere)"
         return f"expected one shape with a signed distance, got {found}; {INSTEAD}"
@@ -169,8 +172,6 @@ def _heights(scene: Scene, shape: int, at: np.ndarray, normal: np.ndarray) -> tu
 def _of_camera(scene: Scene, config: PathConfig, sensor: int) -> str:
     """Say why a camera's rays cannot move; empty: they can."""
     view = camera_view(scene, sensor)
-    if view.camera.filter == c.RFILTER_BOX and view.camera.filter_radius != 0.5:
-        return f"a box filter of the radius {view.camera.filter_radius} overlaps its neighbours; give it 0.5"
     shape = scene.builder.primitives[0]
     linear, center = pose(scene, shape)
     local = np.linalg.solve(linear, view.pose[:3, 3] - center)

@@ -17,11 +17,10 @@ from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_kernel
 from warp_psdr.options import interior
-from warp_psdr.options.boundary import AuxiliaryRays, PathWarpedArea, Rotation, WeightedRays
+from warp_psdr.options.boundary import AuxiliaryRays, Rotation, WeightedRays
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.replay import Kept
 from warp_psdr.topology import contacts
-from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.clip_planes import require_uncut
 from warp_psdr.topology.intersection_curves import scene_curves
 
@@ -89,8 +88,6 @@ def refused(
 
 def _of_request(scene: Scene, integrator: PathIntegrator, method: AuxiliaryRays, names: list[str]) -> str:
     """Say what moves whose discontinuities are not followed; empty: nothing."""
-    if not isinstance(method, PathWarpedArea) and not isinstance(integrator.interior, (str, interior.Replay)):
-        return f"it is beside interior.Replay() alone, got interior.{type(integrator.interior).__name__}()"
     moves = motion(scene, names)
     if moves.camera:
         return f"the camera moves; {INSTEAD}"
@@ -103,9 +100,6 @@ def _of_request(scene: Scene, integrator: PathIntegrator, method: AuxiliaryRays,
 
 def _of_camera(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> str:
     """Say why a camera's rays cannot move; empty: they can."""
-    film = camera_view(scene, sensor).camera
-    if film.filter == c.RFILTER_BOX and film.filter_radius != 0.5:
-        return f"a box filter of the radius {film.filter_radius} overlaps its neighbours; give it 0.5"
     require_uncut(scene, sensor, set(motion(scene, names).shapes), camera_moves=False)
     return ""
 
