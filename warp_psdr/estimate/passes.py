@@ -316,7 +316,7 @@ def camera_gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:
     """Return the kernels of the interior term, of role "reverse" or "forward", whose results add up."""
     assert plan.interior is not None and plan.seen_wanted is not None and plan.kept is not None
     what = plan.seen, plan.seen_wanted, role, plan.kept
-    return [plan.interior.make(*what), *plan.interior.beside(*what)]
+    return plan.interior.kernels(*what)
 
 
 def _read(scene: Scene, plan: Plan) -> list:

@@ -45,30 +45,17 @@ def make_branches_of_shapes(config: PathConfig, wanted: GradientRequest, role: s
     return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
 
 
-def make_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    """Return the first kernel of resampled branches, by the shapes of lobes if any is requested."""
-    return _resampled(config, wanted, role, kept)[0]
-
-
-def beside_resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
-    """Return the kernel by what turns normals beside that by shapes, and that of the rest, if there are any."""
+def resampled_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernels by the shapes of lobes, by what turns normals, and of the rest, of what is requested."""
     if config.media is not None:
-        return beside_branches(config, wanted, role, kept)
-    rest = without(wanted, branched_values(config, wanted))
-    if not refused_by_tilts("", config, rest):
-        rest = unpaired(config, rest)
-    return _resampled(config, wanted, role, kept)[1:] + replayed(config, rest, role, kept)
-
-
-def _resampled(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+        return [make_branches_of_shapes(config, wanted, role, kept), *beside_branches(config, wanted, role, kept)]
     branched = branched_values(config, wanted)
     rest = without(wanted, branched)
-    found = []
-    if config.media is not None or any(branched):
-        found.append(make_branches_of_shapes(config, wanted, role, kept))
-    if config.media is None and not refused_by_tilts("", config, rest):
+    found = [make_branches_of_shapes(config, wanted, role, kept)] if any(branched) else []
+    if not refused_by_tilts("", config, rest):
         found.append(make_pair_kernel(config, turned_by(config, rest), role, kept.candidates))
-    return found
+        rest = unpaired(config, rest)
+    return found + replayed(config, rest, role, kept)
 
 
 def beside_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
@@ -93,6 +80,11 @@ def make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept
         return make_phase_branch_kernel(config, role, kept.candidates, True)
     branched = GradientRequest(material=branched_values(config, wanted))
     return make_branch_kernel(config, branched, role, kept.candidates, True)
+
+
+def decomposed_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernels of decomposed branches, and of the rest."""
+    return [make_decomposed(config, wanted, role, kept), *beside_branches(config, wanted, role, kept)]
 
 
 def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
@@ -129,9 +121,10 @@ def turned_by(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     )
 
 
-def make_pairs(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
-    """Return the kernel of antithetic pairs."""
-    return make_pair_kernel(config, turned_by(config, wanted), role)
+def pair_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernels of antithetic pairs, and of what is not paired, if there is any."""
+    paired = make_pair_kernel(config, turned_by(config, wanted), role)
+    return [paired, *replayed(config, unpaired(config, wanted), role, kept)]
 
 
 def unpaired(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
@@ -140,11 +133,6 @@ def unpaired(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     turned = tilting_values(config, wanted)
     own = tuple(t and slot.name not in kept_still for t, slot in zip(turned, config.material, strict=True))
     return replace(without(wanted, own), paired=True)
-
-
-def beside_pairs(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
-    """Return the kernel of what is not paired, if there is any."""
-    return replayed(config, unpaired(config, wanted), role, kept)
 
 
 def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
@@ -249,26 +237,16 @@ def keep_branches(method: interior.Method, max_depth: int, rr_depth: int) -> Kep
     return replace(kept, reason="; ".join((*said, kept.reason)), candidates=candidates, branches=method)
 
 
-def make_branches(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    """Return the first kernel of several methods side by side."""
-    return _kernels(config, wanted, role, kept)[0]
-
-
-def beside_first(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
-    """Return the others, and that of the rest, if there is any."""
-    assert kept.branches is not None
-    rest = rest_of(kept.branches, config, wanted)
-    return _kernels(config, wanted, role, kept)[1:] + replayed(config, rest, role, kept)
-
-
-def _kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+def branch_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernels of several methods side by side, and of the rest."""
     assert kept.branches is not None
     make = {"": [], RESAMPLED: [make_branches_of_shapes], "decomposed": [make_decomposed]}[kept.branches.shapes]
-    shapes = [m(config, drawn_by_choice(config, wanted), role, kept) for m in make]
-    if not kept.branches.normals:
-        return shapes
-    turned = turned_by(config, _not_of_shapes(kept.branches, config, wanted))
-    return [*shapes, make_pair_kernel(config, turned, role, {RESAMPLED: kept.candidates}.get(kept.branches.normals, 0))]
+    found = [m(config, drawn_by_choice(config, wanted), role, kept) for m in make]
+    if kept.branches.normals:
+        turned = turned_by(config, _not_of_shapes(kept.branches, config, wanted))
+        candidates = {RESAMPLED: kept.candidates}.get(kept.branches.normals, 0)
+        found.append(make_pair_kernel(config, turned, role, candidates))
+    return found + replayed(config, rest_of(kept.branches, config, wanted), role, kept)
 
 
 def _not_of_shapes(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:

@@ -30,21 +30,17 @@ from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan.attached import refused_by_attached
 from warp_psdr.plan.branches import (
-    beside_branches,
-    beside_first,
-    beside_pairs,
-    beside_resampled,
+    branch_kernels,
+    decomposed_kernels,
     keep_branches,
     keep_candidates,
     keep_lobes,
     keep_pairs,
-    make_branches,
-    make_decomposed,
-    make_pairs,
-    make_resampled,
+    pair_kernels,
     refused_by_antithetic,
     refused_by_decomposed,
     refused_by_resampled,
+    resampled_kernels,
 )
 from warp_psdr.plan.film_antithetic import refused_on_the_film, sees_a_room
 from warp_psdr.plan.motion import moves_in_media
@@ -57,6 +53,7 @@ from warp_psdr.plan.replay import (
     keep_blocks,
     make_replay,
     moved_request,
+    replay_kernels,
     replayed,
     without,
 )
@@ -75,9 +72,8 @@ class Row:
     Attributes:
         label: what the plan calls it.
         keep: (method, max_depth, rr_depth) -> what of a path is kept.
-        make: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernel, of
-            the paths from the camera.
-        beside: likewise, the kernels of the derivatives that it leaves to other methods.
+        kernels: (what the path loop compiles, which derivatives, "reverse" or "forward", what is kept) -> its kernels,
+            of the paths from the camera; those of the derivatives that it leaves to other methods last.
         refuse: (what the path loop compiles, which derivatives) -> why it cannot estimate them; empty: it claims to.
         refuse_in: (method, scene, requested names, sensor) -> likewise, of what the scene holds.
         whole: why its derivative needs no boundary term beside it, but that of the film; empty: it may.
@@ -88,8 +84,7 @@ class Row:
 
     label: str
     keep: Callable[[interior.Method, int, int], Kept]
-    make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]
-    beside: Callable[[PathConfig, GradientRequest, str, Kept], list[wp.Kernel]] = lambda *_arguments: []
+    kernels: Callable[[PathConfig, GradientRequest, str, Kept], list[wp.Kernel]]
     refuse: Callable[[PathConfig, GradientRequest], str] = lambda _config, _wanted: ""
     refuse_in: Callable[[interior.Method, Scene, list[str], int], str] = lambda *_arguments: ""
     whole: str = ""
@@ -115,10 +110,11 @@ def _keep_transfer(method: interior.Method, max_depth: int, rr_depth: int) -> Ke
     return replace(kept, reason=f"moving ends of flights, {seen}; {kept.reason}", sees_edges=method.edges)
 
 
-def _make_transfer(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+def _transfer(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     if not moves_in_media(wanted):
-        return make_replay(config, wanted, role, kept)
-    return make_transfer_kernel(config, moved_request(wanted), role, kept.block, kept.longest, kept.sees_edges)
+        return replay_kernels(config, wanted, role, kept)
+    moved = make_transfer_kernel(config, moved_request(wanted), role, kept.block, kept.longest, kept.sees_edges)
+    return [moved, *beside_motion(config, wanted, role, kept)]
 
 
 def _read_by_transfer(scene: Scene, wanted: GradientRequest, kept: Kept) -> list:
@@ -127,19 +123,19 @@ def _read_by_transfer(scene: Scene, wanted: GradientRequest, kept: Kept) -> list
     return [sphere_edges(scene) if kept.sees_edges else Edges()]
 
 
-def _make_bidirectional(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
+def _bidirectional(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     if not config.connections:
-        return make_replay(config, wanted, role, kept)
-    return make_bidirectional_kernel(config, wanted, role, kept.block, kept.blocks)
+        return [make_replay(config, wanted, role, kept)]
+    return [make_bidirectional_kernel(config, wanted, role, kept.block, kept.blocks)]
 
 
-def _make_textbook(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> wp.Kernel:
+def _textbook(config: PathConfig, wanted: GradientRequest, role: str, _kept: Kept) -> list[wp.Kernel]:
     make = make_textbook_kernel if config.media is None else make_media_textbook_kernel
-    return make(config, wanted, role)
+    return [make(config, wanted, role)]
 
 
-def _make_ratio(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest, True)
+def _ratio_tracking(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    return [make_media_replay_kernel(config, wanted, role, kept.block, kept.longest, True)]
 
 
 def _refused_by_ratio_tracking(config: PathConfig, wanted: GradientRequest) -> str:
@@ -163,23 +159,16 @@ def _keep_attached(method: interior.Method, max_depth: int, rr_depth: int) -> Ke
     return replace(kept, reason=f"{said}: {method.combination.reason}; {kept.reason}", attached=method)
 
 
-def _make_attached(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    assert kept.attached is not None
-    if kept.attached.bsdf == "detached":
-        return make_replay(config, wanted, role, kept)
-    own = GradientRequest(material=_roughnesses(config, wanted))
-    return make_attached_kernel(config, own, role, True, kept.attached.weights)
-
-
-def _make_beside_attached(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
-    """Return replay of all but attached samples; of samples that stay, what attached weights add."""
+def _attached(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return attached samples beside replay of the rest; of samples that stay, what attached weights add to replay."""
     assert kept.attached is not None
     own = _roughnesses(config, wanted)
-    if kept.attached.bsdf == "attached":
-        return replayed(config, without(wanted, own), role, kept)
-    if kept.attached.weights != "attached":
-        return []
-    return [make_attached_kernel(config, GradientRequest(material=own), role, False, "attached")]
+    moved = kept.attached.bsdf == "attached"
+    rest = replayed(config, without(wanted, own), role, kept) if moved else [make_replay(config, wanted, role, kept)]
+    if not moved and kept.attached.weights != "attached":
+        return rest
+    weighed = make_attached_kernel(config, GradientRequest(material=own), role, moved, kept.attached.weights)
+    return [weighed, *rest] if moved else [*rest, weighed]
 
 
 def _keep_whole_path(method: interior.Method, max_depth: int, _rr_depth: int) -> Kept:
@@ -194,15 +183,12 @@ def _keep_whole_path(method: interior.Method, max_depth: int, _rr_depth: int) ->
     return Kept(block, 1, f"film points {points}; the whole path fits, one trace", mirrored=method.mirrored)
 
 
-def _make_film_antithetic(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    return make_film_antithetic_kernel(config, wanted, role, kept.block, kept.mirrored)
-
-
-def _make_beside_film(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
-    """Return what crosses the border of a box filter."""
-    if config.filter != RFILTER_BOX or not wanted.geometry:
-        return []
-    return [make_pixel_border_kernel(config, wanted, role, kept.mirrored)]
+def _film_antithetic(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernel of film points, and that of what crosses the border of a box filter."""
+    found = [make_film_antithetic_kernel(config, wanted, role, kept.block, kept.mirrored)]
+    if config.filter == RFILTER_BOX and wanted.geometry:
+        found.append(make_pixel_border_kernel(config, wanted, role, kept.mirrored))
+    return found
 
 
 def _keep_textbook(_method: interior.Method, _max_depth: int, _rr_depth: int) -> Kept:
@@ -217,62 +203,62 @@ def _keep_radiative(method: interior.Method, _max_depth: int, _rr_depth: int) ->
     return Kept(0, 1, "nothing is kept: every vertex traces a path of its own")
 
 
-def _make_radiative(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    return make_radiative_kernel(config, wanted, role, kept.linear)
+def _radiative(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    return [make_radiative_kernel(config, wanted, role, kept.linear)]
+
+
+def _only(make: Callable[[PathConfig, GradientRequest, str, Kept], wp.Kernel]) -> Callable[..., list[wp.Kernel]]:
+    """Return what makes one kernel and no others beside it."""
+    return lambda *what: [make(*what)]
 
 
 #: (method of the interior term, kind of method of the boundary term) -> row. ``boundary.Method``: every explicit term.
 TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
-    (interior.Replay, boundary.Method): Row(
-        label="record and sweep", keep=keep_blocks, make=make_replay, beside=beside_motion
-    ),
-    (interior.Replay, boundary.Distances): Row(label="rays move", keep=keep_blocks, make=make_reparametrised),
+    (interior.Replay, boundary.Method): Row(label="record and sweep", keep=keep_blocks, kernels=replay_kernels),
+    (interior.Replay, boundary.Distances): Row(label="rays move", keep=keep_blocks, kernels=_only(make_reparametrised)),
     (interior.Replay, boundary.WarpedArea): Row(
-        label="rays move, record and sweep", keep=keep_warped, make=make_warped
+        label="rays move, record and sweep", keep=keep_warped, kernels=_only(make_warped)
     ),
-    (interior.Replay, boundary.Rotation): Row(label="rays turn, record and sweep", keep=keep_warped, make=make_warped),
+    (interior.Replay, boundary.Rotation): Row(
+        label="rays turn, record and sweep", keep=keep_warped, kernels=_only(make_warped)
+    ),
     (interior.Resampled, boundary.Method): Row(
         label="resampled branches, record and sweep",
         keep=keep_candidates,
-        make=make_resampled,
-        beside=beside_resampled,
+        kernels=resampled_kernels,
         refuse=refused_by_resampled,
     ),
     (interior.Attached, boundary.Method): Row(
         label="attached samples, record and sweep",
         keep=_keep_attached,
-        make=_make_attached,
-        beside=_make_beside_attached,
+        kernels=_attached,
         refuse_in=refused_by_attached,
     ),
     (interior.Decomposed, boundary.Method): Row(
         label="decomposed branches, record and sweep",
         keep=keep_lobes,
-        make=make_decomposed,
-        beside=beside_branches,
+        kernels=decomposed_kernels,
         refuse=refused_by_decomposed,
     ),
     (interior.Antithetic, boundary.Method): Row(
         label="antithetic pairs, record and sweep",
         keep=keep_pairs,
-        make=make_pairs,
-        beside=beside_pairs,
+        kernels=pair_kernels,
         refuse=refused_by_antithetic,
     ),
     (interior.Branches, boundary.Method): Row(
-        label="branches, record and sweep", keep=keep_branches, make=make_branches, beside=beside_first
+        label="branches, record and sweep", keep=keep_branches, kernels=branch_kernels
     ),
     (interior.DifferentialRatioTracking, boundary.Method): Row(
         label="differential ratio tracking, record and sweep",
         keep=keep_blocks,
-        make=_make_ratio,
+        kernels=_ratio_tracking,
         refuse=_refused_by_ratio_tracking,
     ),
     (interior.RadiativeTransfer, boundary.Method): Row(
         label="differential radiative transfer, record and sweep",
         keep=_keep_transfer,
-        make=_make_transfer,
-        beside=beside_motion,
+        kernels=_transfer,
         refuse=refused_by_transfer,
         refuse_in=refused_in_scene,
         whole="edges that path vertices see are sampled with it",
@@ -282,30 +268,29 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
     (interior.FilmAntithetic, boundary.Method): Row(
         label="mirrored film points",
         keep=_keep_whole_path,
-        make=_make_film_antithetic,
+        kernels=_film_antithetic,
         refuse_in=refused_on_the_film,
-        beside=_make_beside_film,
         whole_in=sees_a_room,
         whole="edges stay on surfaces, of which none hides another",
     ),
     (interior.Textbook, boundary.Method): Row(
         label="textbook replay",
         keep=_keep_textbook,
-        make=_make_textbook,
+        kernels=_textbook,
     ),
     (interior.Radiative, boundary.Method): Row(
         label="radiative backpropagation",
         keep=_keep_radiative,
-        make=_make_radiative,
+        kernels=_radiative,
     ),
     (interior.LightTracing, boundary.Method): Row(
         label="light tracing",
         keep=keep_blocks,
-        make=make_replay,
+        kernels=_only(make_replay),
     ),
     (interior.Bidirectional, boundary.Method): Row(
         label="bidirectional record and sweep",
         keep=keep_blocks,
-        make=_make_bidirectional,
+        kernels=_bidirectional,
     ),
 }

@@ -60,7 +60,7 @@ def compiled(method: Method | None) -> WarpOptions | WarpedOptions | RotationOpt
 
 
 def make_reparametrised(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    """Return the kernel of interior and boundary term, a row's ``make``."""
+    """Return the kernel of interior and boundary term."""
     assert isinstance(kept.warp, WarpOptions)
     return make_reparametrised_kernel(config, wanted, role, kept.warp)
 

@@ -120,6 +120,11 @@ def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
     return make_replay_kernel(config, wanted, kept.block, kept.blocks)
 
 
+def replay_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
+    """Return the kernel of record and sweep; where things move in media, that of what moves nothing, too."""
+    return [make_replay(config, wanted, role, kept), *beside_motion(config, wanted, role, kept)]
+
+
 def beside_motion(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     """Return the kernel of what moves nothing beside what moves in media, if there is any."""
     if config.media is None or not moves_in_media(wanted):

@@ -69,7 +69,7 @@ def keep_warped(_method: interior.Method, max_depth: int, _rr_depth: int) -> Kep
 
 
 def make_warped(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> wp.Kernel:
-    """Return the kernel of interior and boundary term, a row's ``make``."""
+    """Return the kernel of interior and boundary term."""
     assert isinstance(kept.warp, (WarpedOptions, RotationOptions))
     return make_warped_area_kernel(config, wanted, role, kept.warp, kept.longest)
 
