@@ -56,9 +56,9 @@ def make_aov_kernel(config: PathConfig):
     ``config``: of a scene that reads texture coordinates, and whose lights the camera sees.
     """
     start = make_camera_start(config)
-    closest = make_visibility(config.ray_backend, config.ray_width, False, config.primitives).closest
-    partials = make_partials(config.primitives)
-    interaction = make_interaction(config)
+    closest = make_visibility(config.rays.backend, config.rays.width, False, config.surfaces.primitives).closest
+    partials = make_partials(config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     surface_at, interaction_at, bsdf_eval = interaction.surface, interaction.at, interaction.eval
 
     @wp.func

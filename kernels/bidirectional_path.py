@@ -49,17 +49,17 @@ from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sensor.projection import make_projection
 from warp_psdr.kernels.structs import Camera, LightSample, Scene
 from warp_psdr.kernels.transmittance import MOST_CROSSINGS, make_passage, most_crossings, transmittance_of
-from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathState, PathVertex, SurfaceConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_delta_turn(config: PathConfig):
+def make_delta_turn(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``delta_turn(at, wo, lobe) -> float32``: density of a delta lobe's direction back over that of it.
 
     Refraction changes the solid angle; the probability of the lobe is taken to be the same from both sides.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record = interaction.record
     relative_eta = interaction.bsdf.relative_eta
 
@@ -128,11 +128,11 @@ def make_camera_cuts(config: PathConfig):
     ``share_of_lights(scene, at, cuts, ls, light, crossed) -> float32``: weight of a next-event estimate; ``crossed``:
     probability of the null lobes that its shadow ray crosses.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
-    emission_density = make_emission_density(config)
+    emission_density = make_emission_density(config.lights)
     project = make_projection(config.camera)[0]
-    delta_turn = make_delta_turn(config)
+    delta_turn = make_delta_turn(config.surfaces, config.lights)
     ray_density = make_ray_density(config.camera)
 
     @wp.func
@@ -185,17 +185,17 @@ def make_camera_walk(config: PathConfig, differential: bool, traced: bool):
 
     One vertex, as ``make_path_step``'s function, whose arguments these are.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    emission_hit = make_emission_hit(config)
-    hit_weight = make_hit_weight(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
+    emission_hit = make_emission_hit(config.lights, config.through)
+    hit_weight = make_hit_weight(config.lights, config.through)
     scatter = make_scatter(config, differential)
     has_smooth = interaction.bsdf.has_smooth
-    sample_light = make_light_sampler(config)
-    next_event = make_next_event(config, differential)
+    sample_light = make_light_sampler(config.lights)
+    next_event = make_next_event(config.surfaces, config.lights, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
     passage = make_passage(config, differential) if config.through else None
-    through_event = make_through_event(config) if config.through else None
+    through_event = make_through_event(config.surfaces, config.lights) if config.through else None
     cuts_behind, walk_on, share_of_lights = make_camera_cuts(config)
 
     @wp.func
@@ -277,10 +277,10 @@ def make_light_walk(config: PathConfig, differential: bool):
     start, step = make_light_path(config, differential)
     if not config.connections:
         return LightState, start, step
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf = interaction.bsdf
-    light_end = make_light_end(config)
-    delta_turn = make_delta_turn(config)
+    light_end = make_light_end(config.lights)
+    delta_turn = make_delta_turn(config.surfaces, config.lights)
     ray_density = make_ray_density(config.camera)
 
     @wp.func

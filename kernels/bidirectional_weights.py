@@ -33,7 +33,7 @@ from warp_psdr.kernels.light_ray import COVER, LightRay, cone_height
 from warp_psdr.kernels.reading import emitter_at, shape_at, texture_record, triangle_at
 from warp_psdr.kernels.sensor.camera import half_width
 from warp_psdr.kernels.structs import Emitter, Scene
-from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.vertex import LightConfig, PathState
 
 #: Cosines count as no less where one is divided by, as light paths do (``light_path.py``).
 LEAST_COSINE = 1.0e-6
@@ -92,13 +92,13 @@ def frame_density(scene: Scene, light: Emitter, d: wp.vec3) -> wp.float32:
 
 
 @functools.cache
-def make_emission_density(config: PathConfig):
+def make_emission_density(lights: LightConfig):
     """Return ``emission_density(scene, index, face, distance, towards, pdf, x) -> float32``.
 
     The density of a light's rays with which a light path meets x, per unit of area across the ray: the inverse of
     ``radiance_scale``. ``towards``: unit, from x to the light; ``pdf``: of that direction, without the selection.
     """
-    kinds = set(config.lights)
+    kinds = set(lights.others)
 
     @wp.func
     def density_from(
@@ -136,7 +136,7 @@ def make_emission_density(config: PathConfig):
     ) -> wp.float32:
         light = emitter_at(scene, index)
         density = wp.float32(0.0)
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             if face >= 0:
                 density = area_density(scene, light, face) / PI
         if wp.static(bool(kinds)):
@@ -148,13 +148,13 @@ def make_emission_density(config: PathConfig):
 
 
 @functools.cache
-def make_hit_weight(config: PathConfig):
+def make_hit_weight(lights: LightConfig, through: bool):
     """Return ``hit_weight(scene, path, hit, far) -> float32`` of light that a path from the camera hits.
 
     ``far``: the sum that its last vertex left.
     """
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_pdf = lights.environment_pdf if lights else None
+    others = make_lights(lights.others, None, ()) if lights.others else None
+    environment_pdf = others.environment_pdf if others else None
 
     @wp.func
     def hit_weight(scene: Scene, path: PathState, face: wp.int32, t: wp.float32, far: wp.float32) -> wp.float32:
@@ -165,12 +165,12 @@ def make_hit_weight(config: PathConfig):
                 by_light = environment_pdf(scene, path.d) * emitter_at(scene, scene.environment).probability
                 density = by_light / covering_disk(scene)
         else:
-            if wp.static(bool(config.area)):
+            if wp.static(bool(lights.area)):
                 light = shape_at(scene, triangle_at(scene, face).shape).emitter
                 if light >= 0:
                     emitter = emitter_at(scene, light)
                     distance = t
-                    if wp.static(config.through):
+                    if wp.static(through):
                         distance += wp.where(path.depth > 0, path.seen.t, 0.0)
                     by_light = pdf_area(scene, emitter, face, path.d, distance) * emitter.probability
                     density = area_density(scene, emitter, face) * emitter.probability / PI
@@ -193,9 +193,9 @@ class LightEnd:
 
 
 @functools.cache
-def make_light_end(config: PathConfig):
+def make_light_end(lights: LightConfig):
     """Return ``light_end(scene, ray) -> LightEnd``."""
-    kinds = set(config.lights)
+    kinds = set(lights.others)
 
     @wp.func
     def light_end(scene: Scene, ray: LightRay) -> LightEnd:
@@ -210,7 +210,7 @@ def make_light_end(config: PathConfig):
             if light.kind == EMITTER_CONSTANT or light.kind == EMITTER_ENVMAP:
                 end.near = covering_disk(scene)
                 end.far = ray.scale
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             if ray.face >= 0:
                 end.near = PI / wp.max(wp.abs(wp.dot(triangle_at(scene, ray.face).normal, ray.d)), LEAST_COSINE)
                 end.far = ray.scale

@@ -12,7 +12,7 @@ from warp_psdr.kernels.path import make_camera_start, make_path_step
 from warp_psdr.kernels.rng import Sampler, branch_of, sampler_at
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.vertex import PathConfig, PathState, RayConfig
 from warp_psdr.kernels.visibility import visibility_of_meshes
 
 
@@ -68,19 +68,19 @@ def make_pixel_bundle(lanes: int):
     return pixel_bundle
 
 
-def rays_together(config: PathConfig) -> int:
+def rays_together(rays: RayConfig, primitives: tuple[int, ...]) -> int:
     """Return the number of camera rays that are traced at a time; 1: ``path_step`` traces them."""
-    return config.ray_width if config.ray_backend == "wide" and not config.primitives else 1
+    return rays.width if rays.backend == "wide" and not primitives else 1
 
 
 @functools.cache
-def make_trace_together(config: PathConfig):
+def make_trace_together(config: RayConfig):
     """Return ``trace_together(scene, count, rows, rays, found)`` for up to ``rays_together`` rays of the camera.
 
     ``rays`` is the first row of their ``Ray``, of which those behind the ``count``-th are traced for nothing;
     ``found`` that of their ``RayHit``. A few are traced one by one. They meet triangles alone.
     """
-    width = config.ray_width
+    width = config.width
     closest_hits, _any_hits = make_bundle(width)
     visibility = visibility_of_meshes(config)
     get_ray, _put_ray = make_record(Ray, width)
@@ -109,11 +109,11 @@ def make_bundled_starts(config: PathConfig, filter_kind: int | None = None):
     ``filter_kind``: as ``make_camera_start``'s.
     """
     start = make_camera_start(config, filter_kind)
-    lanes = rays_together(config)
-    trace_together = make_trace_together(config) if lanes > 1 else None
+    lanes = rays_together(config.rays, config.surfaces.primitives)
+    trace_together = make_trace_together(config.rays) if lanes > 1 else None
 
-    _get_ray, put_ray = make_record(Ray, config.ray_width)
-    get_hit, _put_hit = make_record(RayHit, config.ray_width)
+    _get_ray, put_ray = make_record(Ray, config.rays.width)
+    get_hit, _put_hit = make_record(RayHit, config.rays.width)
     hit_row = words(Ray)
 
     @wp.func
@@ -175,6 +175,6 @@ def make_camera_paths(
     ``lanes`` is the size of the arrays that ``starts`` takes. Arguments as those of ``make_path_step`` and
     ``make_bundled_starts``.
     """
-    lanes = rays_together(config)
+    lanes = rays_together(config.rays, config.surfaces.primitives)
     path_step = make_path_step(config, differential, sparse, traced=lanes > 1)
     return lanes, make_bundled_starts(config, filter_kind), path_step

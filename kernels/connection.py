@@ -54,8 +54,8 @@ def make_connect(config: PathConfig, differential: bool):
 
     ``differential``: keep what is exactly zero, since its derivative may not be.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf = interaction.bsdf
 
     @wp.func
@@ -177,7 +177,7 @@ def make_connected_image_kernel(config: PathConfig):
     """Return the kernel of the whole image: camera paths count in their pixel, joined light paths are splatted."""
     most = config.most_vertices
     light_path, connections = make_subpaths(config, False)
-    lanes = rays_together(config)
+    lanes = rays_together(config.rays, config.surfaces.primitives)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, False, lanes > 1)
     walk_from = make_walk_from(config.camera)

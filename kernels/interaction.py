@@ -22,7 +22,7 @@ from warp_psdr.kernels.reading import bsdf_at, emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import BsdfSample, Scattered, Scene, Triangle
 from warp_psdr.kernels.surface import Surface
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 
 @wp.struct
@@ -171,16 +171,16 @@ class Interactions(NamedTuple):
 
 
 @functools.cache
-def make_parts(config: PathConfig, record: type) -> InteractionParts:
+def make_parts(surfaces: SurfaceConfig, record: type) -> InteractionParts:
     """Return the steps that make a ``record`` of the scene's interactions."""
-    surface_of = make_surface_at(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
-    partials = make_partials(config.primitives)
-    step_off = make_leaving(config.primitives)
-    looked_up = make_looked_up_record(make_bsdf(config.bsdfs).record)
-    side_of = make_side(config.two_sided)
-    frame_on = make_framing(config.tangent)
-    material_at = make_material(config.bsdfs, config.material)
-    measured = make_measures(config.bsdfs, config.material)
+    surface_of = make_surface_at(surfaces.smooth, surfaces.flat, surfaces.uv, surfaces.tangent, surfaces.primitives)
+    partials = make_partials(surfaces.primitives)
+    step_off = make_leaving(surfaces.primitives)
+    looked_up = make_looked_up_record(make_bsdf(surfaces.bsdfs).record)
+    side_of = make_side(surfaces.two_sided)
+    frame_on = make_framing(surfaces.tangent)
+    material_at = make_material(surfaces.bsdfs, surfaces.material)
+    measured = make_measures(surfaces.bsdfs, surfaces.material)
 
     @wp.func
     def look_up(
@@ -195,7 +195,7 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
         result.material = material_at(scene, b.slots, face, u, v, surface.uv)
         if wp.static(measured is not None):
             metric = wp.vec3(0.0, 0.0, 0.0)
-            if wp.static(measures_metric(config.material)):
+            if wp.static(measures_metric(surfaces.material)):
                 frame = frame_on(side, surface.n, surface.tangent)
                 dp_du, dp_dv = partials(scene, triangle_at(scene, face), u, v)
                 metric = wp.vec3(wp.dot(dp_du, frame.s), wp.dot(dp_dv, frame.s), wp.dot(dp_dv, frame.t))
@@ -216,18 +216,18 @@ def make_parts(config: PathConfig, record: type) -> InteractionParts:
         at.material = found.material
         return at
 
-    of_triangle = make_surface_at(config.smooth, config.flat, config.uv, config.tangent, ())
+    of_triangle = make_surface_at(surfaces.smooth, surfaces.flat, surfaces.uv, surfaces.tangent, ())
     return InteractionParts(surface_of, of_triangle, looked_up, look_up, put_together)
 
 
 @functools.cache
-def make_interaction(config: PathConfig, selects: bool = False) -> Interactions:
+def make_interaction(surfaces: SurfaceConfig, lights: LightConfig, selects: bool = False) -> Interactions:
     """Return the record of a scene's interactions and its functions; ``selects``: as ``make_bsdf``'s."""
-    bsdf = make_bsdf(config.bsdfs, selects)
+    bsdf = make_bsdf(surfaces.bsdfs, selects)
     record = make_interaction_record(bsdf.record)
-    parts = make_parts(config, record)
+    parts = make_parts(surfaces, record)
     surface_of, _of_triangle, _looked_up, look_up, put_together = parts
-    emission = make_area(config.area, config.shining).emitted if config.area else None
+    emission = make_area(lights.area, lights.shining).emitted if lights.area else None
 
     @wp.func
     def surface_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> Surface:

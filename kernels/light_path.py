@@ -88,8 +88,8 @@ def make_join(config: PathConfig, differential: bool):
 
     ``cosine``: |n_g . l|. Its members ``joined`` to ``value`` are set.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf = interaction.bsdf
     project = make_projection(config.camera)[0]
 
@@ -98,7 +98,7 @@ def make_join(config: PathConfig, differential: bool):
         scene: Scene, camera: Camera, vertex: LightVertex, x: wp.vec3, cosine: wp.float32, lens: wp.vec2
     ) -> LightVertex:
         r = vertex
-        if wp.static(config.hidden):
+        if wp.static(config.rays.hidden):
             if scene.shapes[scene.triangles[vertex.face].shape].emitter >= 0:
                 return r
         at = project(scene, camera, x, lens)
@@ -141,10 +141,10 @@ def make_light_path(config: PathConfig, differential: bool):
 
     ``differential``: keep going where a factor is exactly zero, since its derivative may not be.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     join = make_join(config, differential)
-    light_ray = make_light_ray(config)
+    light_ray = make_light_ray(config.lights)
     lens_point = make_lens(config.camera)
     draw = make_sampler(config.sampler)
     sample_2d, sample_4d = draw.sample_2d, draw.sample_4d

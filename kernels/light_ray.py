@@ -39,7 +39,7 @@ from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
 from warp_psdr.kernels.texture.texture import make_texture
-from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.vertex import LightConfig, PathVertex
 
 #: The sphere that rays from infinity cover is larger than the scene's by so much, for rounding.
 COVER = 1.0e-4
@@ -114,11 +114,11 @@ def in_frame(scene: Scene, emitter: Emitter, u: wp.vec2) -> AimedDirection:
 
 
 @functools.cache
-def make_light_ray(config: PathConfig):
+def make_light_ray(lights: LightConfig):
     """Return ``light_ray(scene, sphere, u4, u2) -> LightRay``; ``sphere``: center and radius, it holds the scene."""
-    pick, _draw = make_light_draw(config)
-    kinds = config.lights
-    emitted = make_area(config.area).emitted if config.area else None
+    pick, _draw = make_light_draw(lights)
+    kinds = lights.others
+    emitted = make_area(lights.area).emitted if lights.area else None
     sample = make_lights(kinds, None, ()).sample if kinds else None
     constant_at = make_texture((TEXTURE_CONSTANT,))
 
@@ -215,9 +215,9 @@ def make_light_ray(config: PathConfig):
     def light_ray(scene: Scene, sphere: wp.vec4, u4: wp.vec4, u2: wp.vec2) -> LightRay:
         index, face = pick(scene, wp.vec2(u4[0], u4[1]))
         r = LightRay()
-        if wp.static(bool(config.area) and not kinds):
+        if wp.static(bool(lights.area) and not kinds):
             r = leave_area(scene, index, face, wp.vec2(u4[2], u4[3]), u2)
-        elif wp.static(bool(config.area)):
+        elif wp.static(bool(lights.area)):
             if face >= 0:
                 r = leave_area(scene, index, face, wp.vec2(u4[2], u4[3]), u2)
             else:

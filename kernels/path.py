@@ -94,18 +94,18 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     """
     if config.shown:
         return make_property_step(config, traced)
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    emission_hit = make_emission_hit(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
+    emission_hit = make_emission_hit(config.lights, config.through)
     scatter = make_scatter(config, differential)
     has_smooth = interaction.bsdf.has_smooth
-    has_lights = samples_lights(config)
-    sample_light = make_light_sampler(config) if has_lights else None
-    next_event = make_next_event(config, differential) if has_lights else None
+    has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
+    next_event = make_next_event(config.surfaces, config.lights, differential) if has_lights else None
     sample_4d = make_sampler(config.sampler).sample_4d
     through = config.through and has_lights
     passage = make_passage(config, differential) if through else None
-    through_event = make_through_event(config) if through else None
+    through_event = make_through_event(config.surfaces, config.lights) if through else None
 
     @wp.func
     def path_step(

@@ -18,7 +18,7 @@ from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.sensor.time_gate import TimeGates
 from warp_psdr.kernels.structs import Emitter, Scene
-from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 
 
 @wp.struct
@@ -42,14 +42,14 @@ def lamp_position(scene: Scene, emitter: Emitter) -> wp.vec3:
 
 
 @functools.cache
-def make_next_event_point(config: PathConfig):
+def make_next_event_point(primitives: tuple[int, ...], area: tuple[int, ...]):
     """Return ``light_point(scene, vertex) -> vec3``: the light point that next-event estimation found."""
-    point_at = make_point_at(config.primitives)
+    point_at = make_point_at(primitives)
 
     @wp.func
     def light_point(scene: Scene, vertex: PathVertex) -> wp.vec3:
         emitter = scene.emitters[vertex.light]
-        if wp.static(bool(config.area)):
+        if wp.static(bool(area)):
             if emitter.kind == EMITTER_AREA:
                 return point_at(scene, scene.triangles[vertex.light_face], vertex.light_u, vertex.light_v)
         return lamp_position(scene, emitter)
@@ -58,15 +58,15 @@ def make_next_event_point(config: PathConfig):
 
 
 @functools.cache
-def make_timed_vertex(config: PathConfig):
+def make_timed_vertex(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``timed_vertex(scene, gates, vertex, first, eta, before) -> TimedVertex``.
 
     ``first``: it is the one that the camera sees, and ``vertex.o`` where the camera's ray starts, unclipped. ``eta``:
     index of refraction in front of the vertex, ``before``: ell_{n-1}.
     """
-    point_at = make_point_at(config.primitives)
-    light_point = make_next_event_point(config)
-    emitted = make_interaction(config).emitted
+    point_at = make_point_at(surfaces.primitives)
+    light_point = make_next_event_point(surfaces.primitives, lights.area)
+    emitted = make_interaction(surfaces, lights).emitted
 
     @wp.func
     def timed_vertex(

@@ -130,8 +130,8 @@ def make_collision(config: PathConfig, differential: bool):
     assert config.media is not None
     phase = make_phase(config.media.phases)
     passage = make_media_passage(config, differential)
-    has_lights = bool(config.area or config.lights)
-    sample_light = make_light_sampler(config) if has_lights else None
+    has_lights = bool(config.lights.area or config.lights.others)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
     # Where a table is zero its derivative is not, so directions are drawn there, too.
     everywhere = differential and PHASE_TABLE in config.media.phases
 
@@ -241,8 +241,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     the density may be zero, and collide (``Flight``); in grids by a clock, unless not ``clocked``.
     """
     assert config.media is not None
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     flight = make_flight(config.media, explores)
     tracked_flight, _tracked_transmittance = make_tracking(config.media, explores and clocked)
     grids = config.media.grids
@@ -253,18 +253,18 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     emitted_in_grid = make_grid_emission(config.media) if emissive and grids else None
     collide = make_collision(config, differential)
     passage = make_media_passage(config, differential)
-    emission_hit = make_emission_hit(config)
+    emission_hit = make_emission_hit(config.lights, config.through)
     scatter = make_scatter(config, differential)
     has_smooth = interaction.bsdf.has_smooth
-    has_lights = bool(config.area or config.lights)
-    surface_lights = samples_lights(config)
-    sample_light = make_light_sampler(config) if has_lights else None
-    next_event = make_next_event(config, differential) if surface_lights else None
-    through_event = make_through_event(config) if surface_lights else None
+    has_lights = bool(config.lights.area or config.lights.others)
+    surface_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
+    next_event = make_next_event(config.surfaces, config.lights, differential) if surface_lights else None
+    through_event = make_through_event(config.surfaces, config.lights) if surface_lights else None
     sample_4d = make_sampler(config.sampler).sample_4d
-    nulls = has_null_lobes(config.bsdfs)
-    null_model = null_model_of(config)
-    is_interface, past = make_null_surface(config)
+    nulls = has_null_lobes(config.surfaces.bsdfs)
+    null_model = null_model_of(config.surfaces.bsdfs)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
 
     @wp.func
     def cross(
@@ -318,7 +318,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         lead = wp.dot(state.skip, path.d)
         if hit.face >= 0:
             hit.t += lead
-            if wp.static(not config.primitives):
+            if wp.static(not config.surfaces.primitives):
                 if lead > 0.0:
                     # Where the ray itself meets the triangle's plane: the one that is cast runs beside it.
                     plane = triangle_at(scene, hit.face)

@@ -46,7 +46,7 @@ def make_image_paths(config: PathConfig, filter_kind: int | None = None) -> Came
     """Make the function for what a scene needs; ``filter_kind`` as ``make_camera_start``'s."""
     if side_by_side(config):
         paths = make_lane_paths(config, False, filter_kind=filter_kind)
-        together, trace_waiting = make_trace_waiting(config, paths)
+        together, trace_waiting = make_trace_waiting(config.scatter, paths)
         return CameraPaths(together, True, trace_waiting)
     if config.media is not None:
         return _make_media_paths(config, filter_kind)
@@ -112,7 +112,7 @@ def _make_media_paths(config: PathConfig, filter_kind: int | None) -> CameraPath
 
 def _make_weighted_paths(config: PathConfig, filter_kind: int | None) -> CameraPaths:
     """The same with the weights of bidirectional paths."""
-    width = rays_together(config)
+    width = rays_together(config.rays, config.surfaces.primitives)
     starts = make_bundled_starts(config, filter_kind)
     camera_walk = make_camera_walk(config, False, width > 1)
     walk_from = make_walk_from(config.camera)

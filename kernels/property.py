@@ -25,8 +25,8 @@ PROPERTIES = ("mask", "depth", "position", "sh_normal")
 @functools.cache
 def make_property_step(config: PathConfig, traced: bool):
     """Return what ``make_path_step`` returns: the camera's first vertex, with the property in place of its radiance."""
-    visibility = visibility_of(config)
-    surface_at = make_interaction(config).surface
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    surface_at = make_interaction(config.surfaces, config.lights).surface
 
     @wp.func
     def property_step(
@@ -62,7 +62,7 @@ def make_property_step(config: PathConfig, traced: bool):
 
 
 @functools.cache
-def make_property_vjp(config: PathConfig):
+def make_property_vjp(shown: str):
     """Return ``property_vjp(d, a) -> (VertexAdjoint, vec3)``: adjoints of the vertex, and of where its ray starts.
 
     ``d`` is the ray's direction, ``a`` the adjoint of the three channels.
@@ -72,13 +72,13 @@ def make_property_vjp(config: PathConfig):
     def property_vjp(d: wp.vec3, a: wp.vec3) -> tuple[VertexAdjoint, wp.vec3]:
         adjoint = VertexAdjoint()
         a_o = wp.vec3(0.0, 0.0, 0.0)
-        if wp.static(config.shown == "depth"):
+        if wp.static(shown == "depth"):
             # t = d . (x - o), and x moves along the ray; turning the ray leaves |d| at 1.
             adjoint.x = (a[0] + a[1] + a[2]) * d
             a_o = -adjoint.x
-        if wp.static(config.shown == "position"):
+        if wp.static(shown == "position"):
             adjoint.x = a
-        if wp.static(config.shown == "sh_normal"):
+        if wp.static(shown == "sh_normal"):
             adjoint.n = a
         return adjoint, a_o
 
@@ -86,14 +86,14 @@ def make_property_vjp(config: PathConfig):
 
 
 @functools.cache
-def make_beside_edge(config: PathConfig):
+def make_beside_edge(shown: str):
     """Return ``(own, behind)``, properties beside an edge on the film.
 
     ``own(x, length) -> vec3``: of the point x of the edge itself, at that distance from the near clip plane. Beside a
     smooth silhouette a ray would meet the surface far in front of it.
     ``behind(value, face, length) -> vec3``: of what a ray meets that starts at that distance from it.
     """
-    depth, position = config.shown == "depth", config.shown == "position"
+    depth, position = shown == "depth", shown == "position"
 
     @wp.func
     def own(x: wp.vec3, length: wp.float32) -> wp.vec3:

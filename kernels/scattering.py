@@ -21,7 +21,7 @@ from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.reading import emitter_at, shape_at, triangle_at
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.structs import BsdfSample, LightSample, Scene, Triangle
-from warp_psdr.kernels.vertex import PathConfig, PathState
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathState, SurfaceConfig
 
 #: Sample slots per path vertex: next-event estimation, scattering. Slot 0 is the camera's.
 SLOTS_PER_VERTEX = 2
@@ -69,16 +69,16 @@ class ScatterSample:
     invalid: wp.int32  # 1: there is no such direction, as a NaN of the scene has it
 
 
-def samples_lights(config: PathConfig) -> bool:
+def samples_lights(lights: LightConfig, bsdfs: tuple[str, ...]) -> bool:
     """Whether there is next-event estimation: it never finds a delta lobe."""
-    return bool(config.area or config.lights) and has_smooth_lobes(config.bsdfs)
+    return bool(lights.area or lights.others) and has_smooth_lobes(bsdfs)
 
 
 @functools.cache
-def make_sky_hit(config: PathConfig):
+def make_sky_hit(lights: LightConfig):
     """Return ``sky_hit(scene, state) -> EmissionHit`` of a ray that leaves the scene."""
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval_pdf = lights.environment_eval_pdf if lights else None
+    others = make_lights(lights.others, None, ()) if lights.others else None
+    environment_eval_pdf = others.environment_eval_pdf if others else None
     environment = environment_eval_pdf is not None
 
     @wp.func
@@ -88,7 +88,7 @@ def make_sky_hit(config: PathConfig):
             found, density = environment_eval_pdf(scene, state.d)
             density *= emitter_at(scene, scene.environment).probability
             weight = wp.where(state.pdf > 0.0, mis_weight(state.pdf, density), 1.0)
-            if wp.static(config.hide_emitters):
+            if wp.static(lights.hide_emitters):
                 weight = wp.where(state.depth > 0, weight, 0.0)
             emission.weight = weight
             emission.direct = weight * found
@@ -102,11 +102,11 @@ def make_sky_hit(config: PathConfig):
 
 
 @functools.cache
-def make_emission_hit(config: PathConfig):
+def make_emission_hit(lights: LightConfig, through: bool):
     """Return ``emission_hit(scene, state, hit) -> EmissionHit``."""
-    emitted = make_area(config.area, config.shining).emitted if config.area else None
-    pdf_of_any = make_pdf_area(config.shining)
-    sky_hit = make_sky_hit(config)
+    emitted = make_area(lights.area, lights.shining).emitted if lights.area else None
+    pdf_of_any = make_pdf_area(lights.shining)
+    sky_hit = make_sky_hit(lights)
 
     @wp.func
     def emission_hit(scene: Scene, state: PathState, hit: RayHit) -> EmissionHit:
@@ -114,16 +114,16 @@ def make_emission_hit(config: PathConfig):
         if hit.face < 0:
             return sky_hit(scene, state)
         emission.on_surface = 1
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             light = shape_at(scene, triangle_at(scene, hit.face).shape).emitter
             if light >= 0:
                 emitter = emitter_at(scene, light)
                 weight = wp.float32(1.0)
                 if state.pdf > 0.0:
                     distance = hit.t
-                    if wp.static(config.through):
+                    if wp.static(through):
                         distance += state.seen.t
-                    if wp.static(len(config.shining) > 0):
+                    if wp.static(len(lights.shining) > 0):
                         pdf_light = pdf_of_any(scene, emitter, hit.face, hit.u, hit.v, state.d, distance)
                     else:
                         pdf_light = pdf_area(scene, emitter, hit.face, state.d, distance)
@@ -137,33 +137,33 @@ def make_emission_hit(config: PathConfig):
 
 
 @functools.cache
-def make_light_draw(config: PathConfig, left_out: tuple[int, ...] = ()):
+def make_light_draw(lights: LightConfig, left_out: tuple[int, ...] = ()):
     """Return ``pick`` and ``draw``, which choose a light, and a point on it as seen from x.
 
     ``pick(scene, u: vec2) -> (emitter, face)``, face -1: the light is no area light;
     ``draw(scene, emitter, face, tri, x, u: vec2) -> LightSample``, ``tri`` the face's record, or anything.
     ``left_out``: kinds of lights, other than area lights, of which ``draw`` returns anything.
     """
-    area = make_area(config.area, config.shining) if config.area else None
-    kinds = tuple(kind for kind in config.lights if kind not in left_out)
+    area = make_area(lights.area, lights.shining) if lights.area else None
+    kinds = tuple(kind for kind in lights.others if kind not in left_out)
     other = make_lights(kinds, None, ()).sample if kinds else None
 
     @wp.func
     def pick(scene: Scene, u: wp.vec2) -> tuple[wp.int32, wp.int32]:
         index = wp.int32(0)
-        if wp.static(not config.one_light):
+        if wp.static(not lights.one_light):
             index = find_interval(scene.emitter_cdf, 0, scene.emitters.shape[0], u[0])
         face = wp.int32(-1)
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             emitter = emitter_at(scene, index)
-            if wp.static(not config.lights) or emitter.kind == EMITTER_AREA:
+            if wp.static(not lights.others) or emitter.kind == EMITTER_AREA:
                 face = area.select_triangle(scene, emitter, u[1])
         return index, face
 
     @wp.func
     def draw(scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
-        emitter = emitter_at(scene, wp.where(wp.static(config.one_light), 0, index))
-        if wp.static(bool(config.area and config.lights)):
+        emitter = emitter_at(scene, wp.where(wp.static(lights.one_light), 0, index))
+        if wp.static(bool(lights.area and lights.others)):
             ls = LightSample()
             if face >= 0:
                 ls = area.sample_point(scene, emitter, face, tri, x, u)
@@ -171,7 +171,7 @@ def make_light_draw(config: PathConfig, left_out: tuple[int, ...] = ()):
                 if wp.static(other is not None):
                     ls = other(scene, emitter, x, u)
                 ls.face = -1
-        elif wp.static(bool(config.area)):
+        elif wp.static(bool(lights.area)):
             ls = area.sample_point(scene, emitter, face, tri, x, u)
         else:
             ls = other(scene, emitter, x, u)
@@ -183,15 +183,15 @@ def make_light_draw(config: PathConfig, left_out: tuple[int, ...] = ()):
 
 
 @functools.cache
-def make_light_sampler(config: PathConfig):
+def make_light_sampler(lights: LightConfig):
     """Return ``sample_light(scene, x, u4) -> (LightSample, emitter index, selection probability)``."""
-    pick, draw = make_light_draw(config)
+    pick, draw = make_light_draw(lights)
 
     @wp.func
     def sample_light(scene: Scene, x: wp.vec3, u4: wp.vec4) -> tuple[LightSample, wp.int32, wp.float32]:
         index, face = pick(scene, wp.vec2(u4[0], u4[1]))
         tri = Triangle()
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             if face >= 0:
                 tri = triangle_at(scene, face)
         ls = draw(scene, index, face, tri, x, wp.vec2(u4[2], u4[3]))
@@ -210,12 +210,12 @@ def shadow_ray(o: wp.vec3, ls: LightSample) -> tuple[wp.vec3, wp.float32]:
 
 
 @functools.cache
-def make_estimate(config: PathConfig, differential: bool):
+def make_estimate(surfaces: SurfaceConfig, lights: LightConfig, differential: bool):
     """Return ``estimate(at, ls, light, value, pdf) -> NextEvent``, ``at`` an interaction.
 
     ``value`` and ``pdf`` are those of its scattering functions towards the light. Arguments as ``make_path_step``'s.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record = interaction.record
     bsdf = interaction.bsdf
 
@@ -244,11 +244,11 @@ def make_estimate(config: PathConfig, differential: bool):
 
 
 @functools.cache
-def make_next_event(config: PathConfig, differential: bool):
+def make_next_event(surfaces: SurfaceConfig, lights: LightConfig, differential: bool):
     """Return ``next_event(at, ls, light) -> NextEvent``, ``at`` an interaction; arguments as ``make_path_step``'s."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record = interaction.record
-    estimate = make_estimate(config, differential)
+    estimate = make_estimate(surfaces, lights, differential)
 
     @wp.func
     def next_event(at: record, ls: LightSample, light: wp.int32) -> NextEvent:
@@ -259,12 +259,12 @@ def make_next_event(config: PathConfig, differential: bool):
 
 
 @functools.cache
-def make_through_event(config: PathConfig):
+def make_through_event(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``through_event(at, ls, event, probability, transmittance) -> NextEvent``: one that crosses surfaces.
 
     ``probability``: of the null lobes of all that its shadow ray crosses.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record = interaction.record
 
     @wp.func
@@ -288,7 +288,7 @@ def make_onward(config: PathConfig, differential: bool):
 
     ``bs`` is what was drawn from the scattering functions of ``at``, ``u`` a random number for Russian roulette.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
 
     @wp.func
@@ -343,7 +343,7 @@ def make_onward(config: PathConfig, differential: bool):
 @functools.cache
 def make_scatter(config: PathConfig, differential: bool):
     """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     onward = make_onward(config, differential)
 

@@ -66,7 +66,7 @@ class Texture:
 class Bsdf:
     """A scattering model and where the numbers of its textures start."""
 
-    model: wp.int32  # place in ``PathConfig.bsdfs``
+    model: wp.int32  # place in ``SurfaceConfig.bsdfs``
     two_sided: wp.int32  # 1: both sides scatter; the back side uses the record ``back``
     back: wp.int32
     slots: wp.int32  # first index in ``Scene.slots``

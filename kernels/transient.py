@@ -31,7 +31,7 @@ def make_transient_kernel(config: PathConfig):
     """
     lanes, starts, path_step = make_camera_paths(config, False)
     camera_origin = make_camera_origin(config.camera)
-    timed_vertex = make_timed_vertex(config)
+    timed_vertex = make_timed_vertex(config.surfaces, config.lights)
     gate = make_time_gate(config.pulse)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())

@@ -86,8 +86,8 @@ def make_passage(config: PathConfig, differential: bool):
 
     ``differential``: keep going where the transmittance is exactly zero, since its derivative may not be.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf = interaction.bsdf
 
     @wp.func

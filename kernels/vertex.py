@@ -1,6 +1,6 @@
 """The records of paths: the configuration that their kernels are compiled for, their states and their vertices."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import warp as wp
 
@@ -25,8 +25,8 @@ class MediaConfig:
 
 
 @dataclass(frozen=True)
-class PathConfig:
-    """What a scene needs compiled; frozen and hashable, one kernel per value."""
+class SurfaceConfig:
+    """What the surfaces of a scene need compiled."""
 
     #: Scattering models, keys as ``bsdf.dispatch.ordered`` sorts them; their places are their numbers.
     bsdfs: tuple[str, ...]
@@ -37,25 +37,54 @@ class PathConfig:
     flat: bool
     uv: bool
     tangent: bool
+    #: Numbers of the kinds of shapes without triangles (``primitive/table.py``).
+    primitives: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """What the lights of a scene need compiled."""
+
     #: Texture kinds of area lights; empty: there are none.
     area: tuple[int, ...]
     #: Other light sources.
-    lights: tuple[int, ...]
+    others: tuple[int, ...]
     #: True: there is no other than emitter 0.
     one_light: bool
+    hide_emitters: bool
+    #: Kinds of shapes without triangles that shine (``primitive/shining.py``).
+    shining: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class RayConfig:
+    """What ray queries need compiled, beside the kinds of shapes without triangles (``visibility.py``)."""
+
+    backend: str
+    width: int
+    #: True: there are area lights, which the camera does not see (``sight.py``).
+    hidden: bool = False
+
+
+@dataclass(frozen=True)
+class PathConfig:
+    """What a scene needs compiled; frozen and hashable, one kernel per value.
+
+    A factory that reads one or two of its groups takes these alone, so that its signature says what it may read; what
+    traces whole paths takes all.
+    """
+
+    surfaces: SurfaceConfig
+    lights: LightConfig
+    rays: RayConfig
     #: False: ``max_depth`` is 1 and only directly visible light is computed.
     scatter: bool
-    hide_emitters: bool
     sampler: str
     filter: int
-    ray_backend: str
-    ray_width: int
     #: Kind of the camera.
     camera: int = CAMERA_PERSPECTIVE
     #: True: what a sample meets is written down (``notes.py``).
     noted: bool = False
-    #: True: there are area lights, which the camera does not see (``sight.py``).
-    hidden: bool = False
     #: True: shadow rays pass surfaces by their null lobes, which keep a path's density (``transmittance.py``).
     through: bool = False
     #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
@@ -70,16 +99,16 @@ class PathConfig:
     most_vertices: int = 0
     #: Participating media, whose paths are those of ``path_media.py``; None: there are none.
     media: MediaConfig | None = None
-    #: Numbers of the kinds of shapes without triangles (``primitive/table.py``).
-    primitives: tuple[int, ...] = ()
-    #: Those of them that shine (``primitive/shining.py``).
-    shining: tuple[int, ...] = ()
     #: True: the camera's first vertices are material points, whose images move (``interior/film_antithetic.py``).
     material_first: bool = False
     #: Of a transient film, the kind of its pulse (PULSE_*, ``sensor/time_gate.py``); 0: the film has no time bins.
     pulse: int = 0
     #: Of an image of what the camera sees first, the property that it shows (``property.py``); empty: radiance.
     shown: str = ""
+
+    def unlit(self) -> "PathConfig":
+        """Return the same without lights, for paths that bring no radiance."""
+        return replace(self, lights=replace(self.lights, area=(), others=()))
 
 
 @wp.struct

@@ -14,6 +14,7 @@ import warp as wp
 from warp_psdr.kernels.bvh.wide import Accel, RayHit, make_intersect
 from warp_psdr.kernels.primitive.dispatch import make_primitive_queries
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.vertex import RayConfig
 
 
 class Visibility(NamedTuple):
@@ -106,11 +107,11 @@ def make_visibility(backend: str, width: int, hidden: bool = False, primitives: 
     return Visibility(closest_of_any, occluded_by_any, camera_accel, any_seen, closest_hit, any_hidden_from_camera)
 
 
-def visibility_of(config) -> Visibility:
-    """Return the functions for a ``PathConfig``."""
-    return make_visibility(config.ray_backend, config.ray_width, config.hidden, config.primitives)
+def visibility_of(rays: RayConfig, primitives: tuple[int, ...]) -> Visibility:
+    """Return the functions for a scene; ``primitives``: its kinds of shapes without triangles."""
+    return make_visibility(rays.backend, rays.width, rays.hidden, primitives)
 
 
-def visibility_of_meshes(config) -> Visibility:
+def visibility_of_meshes(rays: RayConfig) -> Visibility:
     """Return those that meet triangles alone."""
-    return make_visibility(config.ray_backend, config.ray_width, config.hidden)
+    return make_visibility(rays.backend, rays.width, rays.hidden)

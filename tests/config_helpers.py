@@ -1,10 +1,12 @@
 """Configurations of path kernels for tests that load no scene."""
 
+from dataclasses import replace
+
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS, models_of
 from warp_psdr.kernels.bsdf.record import merge_values, slot_of
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, SurfaceConfig
 
 
 def materials(*models, kinds=(c.TEXTURE_CONSTANT,)):
@@ -13,38 +15,38 @@ def materials(*models, kinds=(c.TEXTURE_CONSTANT,)):
     return {"bsdfs": models, "material": tuple(slot_of(value, kinds) for value in values)}
 
 
+def changed(config, **fields):
+    """The same with other fields, those of its groups by their own names."""
+    for group in ("surfaces", "lights", "rays"):
+        held = getattr(config, group)
+        own = {name: fields.pop(name) for name in vars(held) if name in fields}
+        config = replace(config, **{group: replace(held, **own)})
+    return replace(config, **fields)
+
+
 def joined(connections, *configs):
     """The same with bidirectional paths."""
-    return [PathConfig(**{**vars(config), "connections": connections, "most_vertices": 4}) for config in configs]
+    return [changed(config, connections=connections, most_vertices=4) for config in configs]
 
 
 def wanted(config, *names, **others):
     """Derivatives by named values of the materials, and others."""
-    return GradientRequest(material=tuple(slot.name in names for slot in config.material), **others)
+    return GradientRequest(material=tuple(slot.name in names for slot in config.surfaces.material), **others)
 
 
 def everything(config, **others):
     """Derivatives by all values of the materials, and others."""
-    return wanted(config, *(slot.name for slot in config.material), **others)
+    return wanted(config, *(slot.name for slot in config.surfaces.material), **others)
 
 
 #: Diffuse walls under an area light.
 SIMPLE = PathConfig(
-    **materials("diffuse"),
-    two_sided=False,
-    smooth=False,
-    flat=True,
-    uv=False,
-    tangent=False,
-    area=(c.TEXTURE_CONSTANT,),
-    lights=(),
-    one_light=True,
+    surfaces=SurfaceConfig(**materials("diffuse"), two_sided=False, smooth=False, flat=True, uv=False, tangent=False),
+    lights=LightConfig(area=(c.TEXTURE_CONSTANT,), others=(), one_light=True, hide_emitters=False),
+    rays=RayConfig("warp", 1),
     scatter=True,
-    hide_emitters=False,
     sampler="sobol",
     filter=c.RFILTER_BOX,
-    ray_backend="warp",
-    ray_width=1,
 )
 
 TEXTURES = (c.TEXTURE_CONSTANT, c.TEXTURE_BITMAP, c.TEXTURE_VERTEX, c.TEXTURE_FACE, c.TEXTURE_CHECKERBOARD)
@@ -57,39 +59,29 @@ LIGHTS = (
     c.EMITTER_DIRECTIONAL_AREA,
 )
 #: All models, all texture kinds in every slot, all lights, smooth and flat shapes, anisotropy.
-EVERYTHING = PathConfig(
+EVERYTHING = changed(
+    SIMPLE,
     **materials(*VARIANTS, kinds=TEXTURES),
     two_sided=True,
     smooth=True,
-    flat=True,
     uv=True,
     tangent=True,
     area=TEXTURES,
-    lights=LIGHTS,
+    others=LIGHTS,
     one_light=False,
-    scatter=True,
     hide_emitters=True,
     hidden=True,
-    sampler="sobol",
     filter=c.RFILTER_GAUSSIAN,
-    ray_backend="warp",
-    ray_width=1,
 )
 #: What EVERYTHING excludes: the other light at infinity, the other sampler and filter, smooth shapes alone.
-OTHERS = PathConfig(
+OTHERS = changed(
+    SIMPLE,
     **materials("roughconductor (beckmann)"),
-    two_sided=False,
     smooth=True,
     flat=False,
-    uv=False,
     tangent=True,
     area=(),
-    lights=(c.EMITTER_CONSTANT,),
-    one_light=True,
-    scatter=True,
-    hide_emitters=False,
+    others=(c.EMITTER_CONSTANT,),
     sampler="independent",
     filter=c.RFILTER_TENT,
-    ray_backend="warp",
-    ray_width=1,
 )

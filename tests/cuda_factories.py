@@ -2,7 +2,7 @@
 
 import pytest
 
-from tests.config_helpers import EVERYTHING, OTHERS, SIMPLE, everything, wanted
+from tests.config_helpers import EVERYTHING, OTHERS, SIMPLE, changed, everything, wanted
 from tests.cuda_configs import (
     ALBEDO,
     ALL_LIGHTS,
@@ -64,7 +64,6 @@ from warp_psdr.kernels.bsdf.motion import MOVED_BY
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.factors.shape_parameters import branched_values
 from warp_psdr.kernels.loss import relative_squared
-from warp_psdr.kernels.vertex import PathConfig
 
 #: Factories whose kernels another one returns for scenes before a transient film, in a row of its own.
 FOR_FILMS = {
@@ -111,12 +110,12 @@ def still(config):
 
 def roughness_of(config):
     """The roughnesses of metal."""
-    return GradientRequest(material=tuple(slot.name in MOVED_BY for slot in config.material))
+    return GradientRequest(material=tuple(slot.name in MOVED_BY for slot in config.surfaces.material))
 
 
 def shapes_of(config):
     """The material values that are branched."""
-    return GradientRequest(material=branched_values(config, everything(config)))
+    return GradientRequest(material=branched_values(config.surfaces, everything(config)))
 
 
 def media(config):
@@ -136,7 +135,7 @@ FAST, SLOW = (), (pytest.mark.slow,)
 
 def unlit(config):
     """The camera paths of edge sampling look for no light."""
-    return PathConfig(**{**vars(config), "area": (), "lights": ()})
+    return changed(config, area=(), others=())
 
 
 #: factory: (label, arguments, marks)
@@ -445,7 +444,10 @@ FACTORIES = {
         ("scattered", (EXACT, SCATTERED), SLOW),
     ],
     "boundary.guiding.ends.make_ends_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
-    "boundary.guiding.facing.make_facing_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
+    "boundary.guiding.facing.make_facing_kernel": [
+        ("simple", (SIMPLE.lights,), SLOW),
+        ("lights", (ALL_LIGHTS.lights,), SLOW),
+    ],
     "boundary.guiding.photons.make_importons_kernel": [("simple", (SIMPLE,), SLOW), ("materials", (MATERIALS,), SLOW)],
     "boundary.guiding.photons.make_photons_kernel": [("simple", (SIMPLE,), SLOW), ("lights", (ALL_LIGHTS,), SLOW)],
     "boundary.shading_normals.terminator.make_terminator_kernel": [

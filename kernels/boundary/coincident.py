@@ -14,7 +14,7 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_step, f
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Accel, LightSample, Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Distance, over that of an edge, at which a light counts as infinitely far.
@@ -63,13 +63,13 @@ def distance_to_plane(scene: Scene, face: wp.int32, x: wp.vec3, w: wp.vec3, marg
 
 
 @functools.cache
-def make_screened(config: PathConfig):
+def make_screened(rays: RayConfig, primitives: tuple[int, ...]):
     """Return ``screened(scene, accel, edges, point, x, w, way, face, behind) -> bool``: whether another edge counts.
 
     That is whether a ray along w to x, beside a point of a silhouette on the occluder's side, from the distance ``way``
     on, meets another body first. The triangle ``face``, off which it starts (-1: none), does not count.
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(rays, primitives)
 
     @wp.func
     def screened(
@@ -105,7 +105,7 @@ def pass_together(r: wp.vec3, w: wp.vec3, t: wp.float32, step: wp.float32) -> wp
 
 
 @functools.cache
-def make_lit_along(config: PathConfig):
+def make_lit_along(others: tuple[int, ...]):
     """Return ``lit_along(scene, x, v, step) -> bool``: whether a light of no area lights x past an edge at x + v."""
 
     @wp.func
@@ -113,7 +113,7 @@ def make_lit_along(config: PathConfig):
         t = wp.length(v)
         return pass_together(wp.min(ls.distance, DISTANT * t) * ls.wi, wp.normalize(v), t, step)
 
-    return _make_any_light(config, passes)
+    return _make_any_light(others, passes)
 
 
 @functools.cache
@@ -123,7 +123,7 @@ def make_shadow_along(config: PathConfig):
     Args of it: x on that edge; the unit vector ``into`` from there in its face; the distance on either side of x at
     which the light of a lamp without area is looked for.
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.func
     def ends(scene: Scene, x: wp.vec3, into: wp.vec3, step: wp.float32, ls: LightSample) -> wp.bool:
@@ -132,12 +132,12 @@ def make_shadow_along(config: PathConfig):
         hidden = visibility.occluded(scene, start + step * into, ls.wi, reach)
         return hidden and not visibility.occluded(scene, start - step * into, ls.wi, reach)
 
-    return _make_any_light(config, ends)
+    return _make_any_light(config.lights.others, ends)
 
 
-def _make_any_light(config: PathConfig, test: wp.Function):
+def _make_any_light(others: tuple[int, ...], test: wp.Function):
     """Return ``any_light(scene, x, v, step) -> bool``: whether ``test`` holds for some light of no area, from x."""
-    sample = make_delta_sample(config.lights)
+    sample = make_delta_sample(others)
 
     @wp.func
     def any_light(scene: Scene, x: wp.vec3, v: wp.vec3, step: wp.float32) -> wp.bool:

@@ -20,7 +20,7 @@ from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig, PathState, path_from
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathState, SurfaceConfig, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Cosines below it count as zero where one is divided by: such a vertex is seen or lit exactly edge-on.
@@ -138,7 +138,7 @@ def make_following(config: PathConfig):
     ``smooth``: of the first surface that it meets only what its smooth lobes send.
     """
     path_step = make_path_step(config, False)
-    point_at = make_point_at(config.primitives)
+    point_at = make_point_at(config.surfaces.primitives)
 
     @wp.func
     def following(
@@ -194,7 +194,7 @@ def make_incident(config: PathConfig):
     i + j + 1 < N.
     """
     path_step = make_path_step(config, False)
-    emitted = make_interaction(config).emitted
+    emitted = make_interaction(config.surfaces, config.lights).emitted
 
     @wp.func
     def incident(
@@ -248,9 +248,9 @@ class Turn:
 
 
 @functools.cache
-def make_sensor_turn(config: PathConfig):
+def make_sensor_turn(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``turn(scene, face, u, v, x, to, u4) -> Turn``: a direction drawn at x; light comes from ``to``."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
 
     @wp.func
     def turn(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, x: wp.vec3, to: wp.vec3, u4: wp.vec4) -> Turn:
@@ -281,11 +281,11 @@ def make_walk(config: PathConfig):
     ``connect(scene, camera, walk, lens) -> Connection``, with ``lens`` from ``camera.make_lens``;
     ``extend(scene, walk, u4, roulette) -> Walk``: the next vertex.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     project = make_projection(config.camera)[0]
-    point_at = make_point_at(config.primitives)
-    turn = make_sensor_turn(config)
+    point_at = make_point_at(config.surfaces.primitives)
+    turn = make_sensor_turn(config.surfaces, config.lights)
 
     @wp.func
     def connect(scene: Scene, camera: Camera, walk: Walk, lens: wp.vec2) -> Connection:
@@ -293,7 +293,7 @@ def make_walk(config: PathConfig):
         r.at = project(scene, camera, walk.x, lens)
         if r.at.valid == 0:
             return r
-        if wp.static(config.hidden):
+        if wp.static(config.rays.hidden):
             if scene.shapes[scene.triangles[walk.face].shape].emitter >= 0:
                 return r
         towards = r.at.origin - walk.x

@@ -91,9 +91,9 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     ``accumulate_side(scene, camera, edges, sampler, samples, film_edge, face, x, radiance, target, image)`` takes the
     radiance of the point x of one side, which is material; it is negative on the side that m points to.
     """
-    visibility = visibility_of(config)
-    hidden = make_hidden(config)
-    screened = make_screened(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    hidden = make_hidden(config.rays, config.surfaces.primitives)
+    screened = make_screened(config.rays, config.surfaces.primitives)
     line = make_line(config)[0] if config.media is not None else None
     accumulate_edge = make_edge_sink(role)
     material = make_vertex_sink(role, False, False, False, False, False, False) if config.material_first else None

@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.kernels.primitive.dispatch import has_outside_alone
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Share of the way from x_1 on which the segment is followed forwards.
@@ -21,13 +21,13 @@ FORWARDS = 0.999
 
 
 @functools.cache
-def make_sees(config: PathConfig, kinds: tuple[int, ...] = CURVES):
+def make_sees(rays: RayConfig, primitives: tuple[int, ...], kinds: tuple[int, ...] = CURVES):
     """Return ``sees(scene, x, w, t1) -> bool``: whether a ray comes along w, from the distance t1, to a point.
 
     ``kinds``: those of curves that the point may lie in; in scenes without them no ray is traced.
     """
-    visibility = visibility_of(config)
-    asks = bool(set(kinds) & set(config.primitives))
+    visibility = visibility_of(rays, primitives)
+    asks = bool(set(kinds) & set(primitives))
 
     @wp.func
     def sees(scene: Scene, x: wp.vec3, w: wp.vec3, t1: wp.float32) -> wp.bool:
@@ -40,13 +40,13 @@ def make_sees(config: PathConfig, kinds: tuple[int, ...] = CURVES):
 
 
 @functools.cache
-def make_hidden(config: PathConfig, inside: bool = True):
+def make_hidden(rays: RayConfig, primitives: tuple[int, ...], inside: bool = True):
     """Return ``hidden(scene, x, origin, near) -> bool``: whether something is between a camera's ray origin and x.
 
     What is nearer than ``near`` does not count. ``inside``: x may lie inside a shape that is seen from outside alone.
     """
-    visibility = visibility_of(config)
-    forwards = inside and has_outside_alone(config.primitives)
+    visibility = visibility_of(rays, primitives)
+    forwards = inside and has_outside_alone(primitives)
 
     @wp.func
     def hidden(scene: Scene, x: wp.vec3, origin: wp.vec3, near: wp.float32) -> wp.bool:

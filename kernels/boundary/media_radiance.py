@@ -20,7 +20,7 @@ from warp_psdr.kernels.path_media import make_media_step, media_path_from, radia
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig, path_from
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, path_from
 
 
 @functools.cache
@@ -31,7 +31,7 @@ def make_media_radiance(config: PathConfig):
     """
     is_interface, behind = make_interface(config)
     media_step = make_media_step(config, False)
-    position, _cross_of = make_position(config.primitives)
+    position, _cross_of = make_position(config.surfaces.primitives)
 
     @wp.func
     def media_radiance(
@@ -69,11 +69,11 @@ def make_media_radiance(config: PathConfig):
 
 
 @functools.cache
-def make_end_radiance(config: PathConfig):
+def make_end_radiance(lights: LightConfig):
     """Return ``end_radiance(scene, face, u, v, w) -> vec3``: what a surface, -1: the environment, emits against w."""
-    emitted = make_area(config.area).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_eval = lights.environment_eval if lights else None
+    emitted = make_area(lights.area).emitted if lights.area else None
+    others = make_lights(lights.others, None, ()) if lights.others else None
+    environment_eval = others.environment_eval if others else None
 
     @wp.func
     def end_radiance(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3) -> wp.vec3:
@@ -99,7 +99,7 @@ def make_media_incident(config: PathConfig):
     the path has turned in front of it.
     """
     media_step = make_media_step(config, False)
-    emitted = make_interaction(config).emitted
+    emitted = make_interaction(config.surfaces, config.lights).emitted
     emissive = config.media is not None and config.media.emissive
 
     @wp.func

@@ -35,7 +35,7 @@ def make_timed_light(config: PathConfig, role: str):
     """
     gate = make_time_gate(config.pulse)
     path_step = make_path_step(config, False)
-    timed_vertex = make_timed_vertex(config)
+    timed_vertex = make_timed_vertex(config.surfaces, config.lights)
 
     @wp.func
     def send(

@@ -41,9 +41,9 @@ def make_timed_transport(config: PathConfig, role: str, camera_moves: bool):
     As ``make_transport``'s; role "reverse" or "forward".
     """
     connect, extend = make_walk(config)
-    accumulate_first = make_first_sink(role, config.primitives)
-    accumulate_found = make_found_sink(role, config.primitives)
-    point_at = make_point_at(config.primitives)
+    accumulate_first = make_first_sink(role, config.surfaces.primitives)
+    accumulate_found = make_found_sink(role, config.surfaces.primitives)
+    point_at = make_point_at(config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     send, send_path = make_timed_light(config, role)
     lens_point = make_lens(config.camera)

@@ -211,9 +211,9 @@ def make_transport(
     """
     connect, extend = make_walk(config)
     evaluates = role == "target"
-    accumulate_first = None if evaluates else first(role, config.primitives)
-    accumulate_found = None if evaluates else make_found_sink(role, config.primitives, first)
-    point_at = make_point_at(config.primitives)
+    accumulate_first = None if evaluates else first(role, config.surfaces.primitives)
+    accumulate_found = None if evaluates else make_found_sink(role, config.surfaces.primitives, first)
+    point_at = make_point_at(config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves and not evaluates else None
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)

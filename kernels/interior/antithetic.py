@@ -95,25 +95,29 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str, can
     """
     # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
     config = replace(config, through=False)
-    lanes, starts, walk_step = make_camera_paths(replace(config, area=(), lights=()), False)
+    lanes, starts, walk_step = make_camera_paths(config.unlit(), False)
     path_step = make_path_step(config, False)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record, bsdf = interaction.record, interaction.bsdf
     material_record, add_materials = bsdf.record, bsdf.algebra.add
     glossy, normal, has_normal = bsdf.glossy, bsdf.normal, bsdf.normal is not None
     eval_vjp, relative_eta = interaction.eval_vjp, bsdf.relative_eta
     scatter = make_scatter(config, True)
-    has_lights = samples_lights(config)
-    sample_light = make_light_sampler(config) if has_lights else None
-    next_event = make_next_event(config, True) if has_lights else None
-    visibility = visibility_of(config)
+    has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
+    next_event = make_next_event(config.surfaces, config.lights, True) if has_lights else None
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
-    turning = tuple(slot if tilts(slot, config.bsdfs) else slot._replace(kinds=()) for slot in config.material)
-    accumulate_material = make_material_sink(replace(config, material=turning), wanted, role)
-    only = make_tilts(config).only
-    frame_vjp = make_frame_vjp(config.tangent)
+    turning = tuple(
+        slot if tilts(slot, config.surfaces.bsdfs) else slot._replace(kinds=()) for slot in config.surfaces.material
+    )
+    accumulate_material = make_material_sink(replace(config.surfaces, material=turning), wanted, role)
+    only = make_tilts(config.surfaces).only
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
     _sweep, finish, finish_vertex = make_sweep(config, wanted, role)
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+    weight_before, weight_of_light = make_contact_weights(
+        config.rays.backend, config.rays.width, config.surfaces.primitives
+    )
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
     geometry = wanted.geometry
@@ -126,7 +130,7 @@ def make_pair_kernel(config: PathConfig, wanted: GradientRequest, role: str, can
         """Whether a material of a shape is glossy."""
         front = bsdf_at(scene, shape_at(scene, shape).bsdf)
         found = glossy(front.model)
-        if wp.static(config.two_sided):
+        if wp.static(config.surfaces.two_sided):
             if front.two_sided == 1:
                 found = found or glossy(bsdf_at(scene, front.back).model)
         return found

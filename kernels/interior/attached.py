@@ -56,15 +56,15 @@ def make_attached_kernel(config: PathConfig, wanted: GradientRequest, role: str,
         weights: "attached", or "position": through the direction alone.
     """
     lanes, starts, path_step = make_camera_paths(config, True)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     material_record = interaction.bsdf.record
-    moves_smoothly, motion_of = make_sample_motion(config.bsdfs)
-    accumulate_material = make_material_sink(config, wanted, role)
-    material_jvp = make_material_jvp(config, wanted)
-    has_lights = samples_lights(config)
-    radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None
-    lights = make_lights(config.lights, role, ()) if config.lights else None
+    moves_smoothly, motion_of = make_sample_motion(config.surfaces.bsdfs)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
+    material_jvp = make_material_jvp(config.surfaces, wanted)
+    has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of = make_light_sink(config.surfaces, config.lights, wanted, role)[0] if has_lights else None
+    lights = make_lights(config.lights.others, role, ()) if config.lights.others else None
     environment_eval_pdf = lights.environment_eval_pdf if lights else None
     environment_vjp = lights.environment_vjp if lights else None
     environment = environment_eval_pdf is not None

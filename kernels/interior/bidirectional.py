@@ -32,7 +32,7 @@ def make_bidirectional_kernel(config: PathConfig, wanted: GradientRequest, role:
     Role "reverse": ``target`` receives the gradient; "forward": it holds the tangents, ``image_out`` receives the
     derivative.
     """
-    lanes = rays_together(config)
+    lanes = rays_together(config.rays, config.surfaces.primitives)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, True, lanes > 1)
     walk_from = make_walk_from(config.camera)

@@ -62,10 +62,10 @@ def make_branch_kernel(
     """
     # Light behind null lobes is found by paths, not by shadow rays: one of the two complete ways.
     config = replace(config, through=False)
-    unlit = replace(config, area=(), lights=())
+    unlit = config.unlit()
     lanes, starts, walk_step = make_camera_paths(unlit, False)
     path_radiance = make_path_radiance(config)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     bsdf = interaction.bsdf
     dot, add_materials = bsdf.algebra.dot, bsdf.algebra.add
@@ -73,16 +73,18 @@ def make_branch_kernel(
     eval_vjp, scatter_vjp = interaction.eval_vjp, interaction.scatter_vjp
     has_smooth = bsdf.has_smooth
     scatter = make_scatter(config, True)
-    has_lights = samples_lights(config)
-    sample_light = make_light_sampler(config) if has_lights else None
-    next_event = make_next_event(config, True) if has_lights else None
+    has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
+    next_event = make_next_event(config.surfaces, config.lights, True) if has_lights else None
     direction_targets, light_targets, density = make_candidates(config, wanted, candidates)
-    mixing = bool(mixed_values(config, wanted))
-    mixture_count, _rate, end_of, _member = make_mixture(config, wanted) if mixing else (None, None, None, None)
+    mixing = bool(mixed_values(config.surfaces, wanted))
+    mixture_count, _rate, end_of, _member = (
+        make_mixture(config.surfaces, wanted) if mixing else (None, None, None, None)
+    )
     pdf_of = interaction.pdf
-    visibility = visibility_of(config)
-    accumulate_material = make_material_sink(config, wanted, role)
-    shape_count, shape_direction, along_shape, moved_shape = make_shape_parameters(config, wanted, role)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
+    shape_count, shape_direction, along_shape, moved_shape = make_shape_parameters(config.surfaces, wanted, role)
     resampling = make_resampling(candidates)
     numbers, choose_two = resampling.numbers, resampling.choose
     sample_4d = make_sampler(config.sampler).sample_4d
@@ -111,7 +113,7 @@ def make_branch_kernel(
         """Whether a material of a shape has a value that is branched."""
         front = bsdf_at(scene, shape_at(scene, shape).bsdf)
         count = shape_count(scene, front.slots)
-        if wp.static(config.two_sided):
+        if wp.static(config.surfaces.two_sided):
             if front.two_sided == 1:
                 count += shape_count(scene, bsdf_at(scene, front.back).slots)
         return count > 0

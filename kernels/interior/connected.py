@@ -52,15 +52,15 @@ def make_connected_kernel(config: PathConfig, wanted: GradientRequest, role: str
     forward = role == "forward"
     channels = 3 if forward else 1
     light_path, connections = make_subpaths(config, True)
-    factors = make_light_factors(config, wanted, role)
-    lanes = rays_together(config)
+    factors = make_light_factors(config.surfaces, config.lights, wanted, role)
+    lanes = rays_together(config.rays, config.surfaces.primitives)
     starts = make_bundled_starts(config)
     camera_walk = make_camera_walk(config, True, lanes > 1)
     walk_from = make_walk_from(config.camera)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, role)
-    interaction = make_interaction(config)
-    accumulate_material = make_material_sink(config, wanted, role)
+    interaction = make_interaction(config.surfaces, config.lights)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
     sample_weight = make_sample_weight(role)
     _splat, gather = make_splat()
     materials = any(wanted.material) or wanted.to_uv

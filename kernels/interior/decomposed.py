@@ -95,15 +95,15 @@ def make_decomposed_directions(
 
     A vertex has weights of mixtures, numbers with lobes of one sign, or roughnesses that are split.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record, material_record = interaction.record, interaction.bsdf.record
-    mixed, signed = mixed_values(config, wanted), signed_values(config, wanted)
+    mixed, signed = mixed_values(config.surfaces, wanted), signed_values(config.surfaces, wanted)
     split = sum(wanted.material) > len(mixed) + len(signed)
     from_ends = make_mixture_directions(config, wanted, role, path_radiance, scatter) if mixed else None
     from_signed = make_signed_directions(config, wanted, role, path_radiance) if signed else None
     from_lobes = make_lobe_directions(config, role, path_radiance, scatter, partial) if split else None
-    mixture_count = make_mixture(config, wanted)[0] if mixed else None
-    signed_count = make_signed_numbers(config, wanted)[0] if signed else None
+    mixture_count = make_mixture(config.surfaces, wanted)[0] if mixed else None
+    signed_count = make_signed_numbers(config.surfaces, wanted)[0] if signed else None
 
     @wp.func
     def from_any(
@@ -137,12 +137,12 @@ def make_lobe_directions(
     config: PathConfig, role: str, path_radiance: wp.Function, scatter: wp.Function, partial: wp.Function
 ) -> wp.Function:
     """Return ``from_directions`` of ``branch.py`` for vertices whose branched values are roughnesses that are split."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record, bsdf = interaction.record, interaction.bsdf
     material_record, add_materials = bsdf.record, bsdf.algebra.add
     draw, density, value_of, mass, rate = bsdf.split
     masked = bsdf.masked
-    split_values, split_record = make_split_values(config.bsdfs)
+    split_values, split_record = make_split_values(config.surfaces.bsdfs)
     onward_radiance = make_onward_radiance(interaction, path_radiance)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"

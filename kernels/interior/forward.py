@@ -63,31 +63,39 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     """
     lanes, starts, path_step = make_camera_paths(config, True)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
-    interaction = make_interaction(config)
-    frame_jvp = make_frame_jvp(config.tangent)
-    vertex_jvp = make_velocity(config.smooth, config.flat, config.uv, config.tangent, config.primitives)
-    position, cross_of = make_position(config.primitives)
-    light_uv = make_light_uv(config.shining)
-    has_sliding, has_flowing = has_slides(config.primitives), has_flow(config.primitives)
-    material_jvp = make_material_jvp(config, wanted)
-    glossy, still = interaction.bsdf.glossy, make_tilts(config).still
-    pair = make_pair(config.bsdfs)
+    interaction = make_interaction(config.surfaces, config.lights)
+    frame_jvp = make_frame_jvp(config.surfaces.tangent)
+    vertex_jvp = make_velocity(
+        config.surfaces.smooth,
+        config.surfaces.flat,
+        config.surfaces.uv,
+        config.surfaces.tangent,
+        config.surfaces.primitives,
+    )
+    position, cross_of = make_position(config.surfaces.primitives)
+    light_uv = make_light_uv(config.lights.shining)
+    has_sliding, has_flowing = has_slides(config.surfaces.primitives), has_flow(config.surfaces.primitives)
+    material_jvp = make_material_jvp(config.surfaces, wanted)
+    glossy, still = interaction.bsdf.glossy, make_tilts(config.surfaces).still
+    pair = make_pair(config.surfaces.bsdfs)
     smooth_lobes = interaction.eval is not None
     delta_lobes = interaction.scatter is not None
-    has_lights = bool(config.area or config.lights) and smooth_lobes
-    radiance_of = make_light_sink(config, wanted, "forward")[0] if has_lights else None
+    has_lights = bool(config.lights.area or config.lights.others) and smooth_lobes
+    radiance_of = make_light_sink(config.surfaces, config.lights, wanted, "forward")[0] if has_lights else None
     through = config.through and has_lights
     transmittance = make_transmittance_sink(config, wanted, "forward") if through else None
     geometry = wanted.geometry
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+    weight_before, weight_of_light = make_contact_weights(
+        config.rays.backend, config.rays.width, config.surfaces.primitives
+    )
     accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
-        make_texture_jvp(config.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
-        if config.area
+        make_texture_jvp(config.lights.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
+        if config.lights.area
         else None
     )
     emission = emission_jvp is not None and (wanted.radiance or wanted.to_uv or geometry)
-    lights = make_lights(config.lights, "forward", wanted.lights) if config.lights else None
+    lights = make_lights(config.lights.others, "forward", wanted.lights) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
     light_vjp = lights.sample_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or geometry)
@@ -119,7 +127,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
         wo = wp.vec3(0.0, 0.0, 0.0)
         log_g = wp.float32(0.0)
         emitter = scene.emitters[vertex.light]
-        if wp.static(bool(config.area)):
+        if wp.static(bool(config.lights.area)):
             if emitter.kind == EMITTER_AREA:
                 face = vertex.light_face
                 u = vertex.light_u

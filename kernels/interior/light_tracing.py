@@ -28,7 +28,7 @@ from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, SurfaceConfig
 
 
 class LightFactors(NamedTuple):
@@ -49,14 +49,16 @@ class LightFactors(NamedTuple):
 
 
 @functools.cache
-def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -> LightFactors:
+def make_light_factors(
+    surfaces: SurfaceConfig, lights: LightConfig, wanted: GradientRequest, role: str
+) -> LightFactors:
     """Return the functions; ``role``: "reverse" or "forward"."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     material = interaction.bsdf.record
-    accumulate_material = make_material_sink(config, wanted, role)
-    _radiance_of, accumulate_light = make_light_sink(config, wanted, role, links=False)
+    accumulate_material = make_material_sink(surfaces, wanted, role)
+    _radiance_of, accumulate_light = make_light_sink(surfaces, lights, wanted, role, links=False)
     eval_vjp, delta_vjp = interaction.eval_vjp, interaction.scatter_vjp
-    aims = "pose" in wanted.lights and bool(DELTA_LIGHTS & set(config.lights))
+    aims = "pose" in wanted.lights and bool(DELTA_LIGHTS & set(lights.others))
     materials = any(wanted.material) or wanted.to_uv or aims
     emits = bool(wanted.lights) or wanted.radiance or wanted.to_uv
 
@@ -130,7 +132,7 @@ def make_light_factors(config: PathConfig, wanted: GradientRequest, role: str) -
 def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, blocks: int):
     """Return the reverse-mode kernel of ``interior.LightTracing``; arguments as ``make_replay_kernel``'s."""
     walk, start, step = make_light_walk(config, True)
-    factors = make_light_factors(config, wanted, "reverse")
+    factors = make_light_factors(config.surfaces, config.lights, wanted, "reverse")
     _splat, gather = make_splat()
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
@@ -208,7 +210,7 @@ def make_light_replay_kernel(config: PathConfig, wanted: GradientRequest, block:
 def make_light_forward_kernel(config: PathConfig, wanted: GradientRequest):
     """Return the forward-mode kernel: ``target`` holds the tangents, ``film_out`` receives the derivative."""
     _walk, start, step = make_light_walk(config, True)
-    factors = make_light_factors(config, wanted, "forward")
+    factors = make_light_factors(config.surfaces, config.lights, wanted, "forward")
     splat, _gather = make_splat()
 
     @wp.func

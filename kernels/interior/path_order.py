@@ -58,7 +58,9 @@ def make_path_order_kernel(config: PathConfig, wanted: GradientRequest, role: st
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
-    weight_before, _weight_of_light = make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+    weight_before, _weight_of_light = make_contact_weights(
+        config.rays.backend, config.rays.width, config.surfaces.primitives
+    )
     channels = 3 if role == "forward" else 1
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)

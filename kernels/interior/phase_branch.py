@@ -9,7 +9,6 @@ Derivation: ``docs/theory/media.md#lobes-of-a-phase-function``.
 """
 
 import functools
-from dataclasses import replace
 
 import warp as wp
 
@@ -59,13 +58,13 @@ def make_phase_branch_kernel(config: PathConfig, role: str, candidates: int, dec
     Arguments as ``make_media_replay_kernel``'s. ``candidates``: light points and, unless ``decomposed``, directions.
     """
     assert config.media is not None
-    unlit = replace(config, area=(), lights=())
+    unlit = config.unlit()
     start = make_camera_start(config)
     walk_step = make_media_step(unlit, False)
     media_step = make_media_step(config, False)
     passage = make_media_passage(config, False)
-    has_lights = bool(config.area or config.lights)
-    sample_light = make_light_sampler(config) if has_lights else None
+    has_lights = bool(config.lights.area or config.lights.others)
+    sample_light = make_light_sampler(config.lights) if has_lights else None
     resampling = make_resampling(candidates)
     numbers, choose_two = resampling.numbers, resampling.choose
     sample_4d = make_sampler(config.sampler).sample_4d

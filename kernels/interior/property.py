@@ -30,7 +30,7 @@ def make_property_kernel(config: PathConfig, wanted: GradientRequest, role: str)
     start = make_camera_start(config)
     step = make_property_step(config, False)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
-    property_vjp = make_property_vjp(config)
+    property_vjp = make_property_vjp(config.shown)
     _sweep, finish, _finish_vertex = make_sweep(config, wanted, role)
 
     @wp.func

@@ -42,7 +42,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
     """
     if blocks == 1 and side_by_side(config):
         ways = [make_sweep_of_each]
-        if wanted.geometry and is_diffuse(config.bsdfs) and not config.primitives:
+        if wanted.geometry and is_diffuse(config.surfaces.bsdfs) and not config.surfaces.primitives:
             ways.insert(0, make_lane_sweep)
         elif sweeps_materials(config, wanted):
             ways.insert(0, make_material_sweep)

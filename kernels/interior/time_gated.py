@@ -28,16 +28,16 @@ from warp_psdr.kernels.sensor.time_gate import TimeGates, make_time_gate
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint
-from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathState, PathVertex
 
 
 @functools.cache
-def make_light_point_sink(config: PathConfig, wanted: GradientRequest, role: str):
+def make_light_point_sink(lights: LightConfig, primitives: tuple[int, ...], wanted: GradientRequest, role: str):
     """Return ``accumulate_light_point(scene, target, vertex, g) -> float`` for the adjoint g of a light point."""
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, False, config.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, False, primitives)
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
-    has_posed = bool(config.lights) and "pose" in wanted.lights
+    has_posed = bool(lights.others) and "pose" in wanted.lights
 
     @wp.func
     def accumulate_light_point(
@@ -47,7 +47,7 @@ def make_light_point_sink(config: PathConfig, wanted: GradientRequest, role: str
         total = wp.float32(0.0)
         emitter = scene.emitters[vertex.light]
         if emitter.kind == EMITTER_AREA:
-            if wp.static(bool(config.area) and wanted.shapes):
+            if wp.static(bool(lights.area) and wanted.shapes):
                 adjoint = VertexAdjoint()
                 adjoint.x = g
                 accumulated = accumulate_vertex(
@@ -90,10 +90,10 @@ def make_time_gated_kernel(config: PathConfig, wanted: GradientRequest, most: in
     lanes, starts, path_step = make_camera_paths(config, True, True)
     camera_origin = make_camera_origin(config.camera)
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
-    timed_vertex = make_timed_vertex(config)
-    light_point = make_next_event_point(config)
-    point_at = make_point_at(config.primitives)
-    accumulate_light_point = make_light_point_sink(config, wanted, "reverse")
+    timed_vertex = make_timed_vertex(config.surfaces, config.lights)
+    light_point = make_next_event_point(config.surfaces.primitives, config.lights.area)
+    point_at = make_point_at(config.surfaces.primitives)
+    accumulate_light_point = make_light_point_sink(config.lights, config.surfaces.primitives, wanted, "reverse")
     gate = make_time_gate(config.pulse)
     moves = wanted.geometry or "pose" in wanted.lights
 

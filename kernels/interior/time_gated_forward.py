@@ -31,10 +31,10 @@ def make_time_gated_forward_kernel(
     """Return the kernel of ``make_forward_kernel`` before a transient film; its functions are ``forward.py``'s."""
     lanes, starts, path_step = make_camera_paths(config, True)
     camera_origin = make_camera_origin(config.camera)
-    timed_vertex = make_timed_vertex(config)
-    light_point = make_next_event_point(config)
-    point_at = make_point_at(config.primitives)
-    move_light_point = make_light_point_sink(config, wanted, "forward")
+    timed_vertex = make_timed_vertex(config.surfaces, config.lights)
+    light_point = make_next_event_point(config.surfaces.primitives, config.lights.area)
+    point_at = make_point_at(config.surfaces.primitives)
+    move_light_point = make_light_point_sink(config.lights, config.surfaces.primitives, wanted, "forward")
     gate = make_time_gate(config.pulse)
     moves = wanted.geometry or "pose" in wanted.lights
 

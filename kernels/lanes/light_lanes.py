@@ -18,7 +18,7 @@ from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, s
 from warp_psdr.kernels.reading import emitter_at, load_float, texture_record
 from warp_psdr.kernels.scattering import NextEvent, make_estimate, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 
 @wp.struct
@@ -71,13 +71,20 @@ class LightLanes(NamedTuple):
 
 
 def make_light_lanes(
-    config: PathConfig, differential: bool, width: int, first: int, places: Rows, values: Rows | None
+    surfaces: SurfaceConfig,
+    lights: LightConfig,
+    differential: bool,
+    width: int,
+    first: int,
+    places: Rows,
+    values: Rows | None,
 ) -> LightLanes:
     """Make the functions.
 
     Args:
-        config: as for ``make_path_step``, and ``differential``.
-        differential: see there.
+        surfaces: what the surfaces need.
+        lights: what the lights need.
+        differential: as for ``make_path_step``.
         width: number of lanes.
         first: the first row that they may take; the last one is the last of ``events``.
         places: where the paths stand, interactions.
@@ -87,11 +94,11 @@ def make_light_lanes(
     get_number, _put_number = make_number(width)
     where_light = make_select(LightSample)
     fetch_triangle = make_fetch(Triangle, width)
-    sky = EMITTER_ENVMAP in config.lights
-    sky_alone = sky and config.one_light
-    _pick, draw_one = make_light_draw(config, left_out=(EMITTER_ENVMAP,))
-    next_event = make_next_event(config, differential)
-    estimate_with = make_estimate(config, differential)
+    sky = EMITTER_ENVMAP in lights.others
+    sky_alone = sky and lights.one_light
+    _pick, draw_one = make_light_draw(lights, left_out=(EMITTER_ENVMAP,))
+    next_event = make_next_event(surfaces, lights, differential)
+    estimate_with = make_estimate(surfaces, lights, differential)
     searches, chosen, triangles, samples, events = stack_rows(
         width, first, Search, Chosen, Triangle, LightSample, NextEvent
     )
@@ -134,7 +141,7 @@ def make_light_lanes(
             s.u = wp.min(get_number(rows, 0, j), ONE_MINUS_EPSILON)
             searches.put(rows, j, s)
             j += 1
-        if wp.static(not config.one_light):
+        if wp.static(not lights.one_light):
             search_evenly(scene.emitter_cdf, scene.emitters.shape[0], rows)
         j = wp.int32(0)
         while j < width:
@@ -143,14 +150,14 @@ def make_light_lanes(
             c.face = -1
             chosen.put(rows, j, c)
             j += 1
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             choose_faces(scene, rows)
         if wp.static(sky):
             choose_cells(scene, rows)
 
     @wp.func
     def emitter_of(scene: Scene, c: Chosen) -> Emitter:
-        return emitter_at(scene, wp.where(wp.static(config.one_light), 0, c.light))
+        return emitter_at(scene, wp.where(wp.static(lights.one_light), 0, c.light))
 
     @wp.func
     def choose_faces(scene: Scene, rows: ROWS):
@@ -221,7 +228,7 @@ def make_light_lanes(
 
     @wp.func
     def draw(scene: Scene, rows: ROWS):
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             fetch_triangle(scene.triangles, rows, face_row, triangle_row)
         if wp.static(not sky_alone):
             j = wp.int32(0)

@@ -67,11 +67,13 @@ def sweeps_materials(config: PathConfig, wanted: GradientRequest) -> bool:
 
     Where the adjoint of a model is no SIMD, one path after the other is faster.
     """
-    models = [f for f in make_interaction(config).bsdf.each if f.eval is not None]
+    models = [f for f in make_interaction(config.surfaces, config.lights).bsdf.each if f.eval is not None]
     if any(f.branches or f.branches_back for f in models):
         return False
     others = wanted.geometry or wanted.to_uv or wanted.radiance or wanted.paired or bool(wanted.lights)
-    return samples_lights(config) and not (others or config.through or config.primitives or is_diffuse(config.bsdfs))
+    return samples_lights(config.lights, config.surfaces.bsdfs) and not (
+        others or config.through or config.surfaces.primitives or is_diffuse(config.surfaces.bsdfs)
+    )
 
 
 def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
@@ -86,7 +88,7 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
     """
     width, on_places, states, hits = paths.width, paths.on_places, paths.states, paths.hits
     places, choices, surfaces = on_places.places, on_places.choices, on_places.surfaces
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     algebra = interaction.bsdf.algebra
     swept, carries, vertices, weights, adjoints = stack_rows(
         width, paths.end, SweptPath, RadianceCarry, WeighedVertex, ScatteringWeight, interaction.bsdf.record
@@ -94,9 +96,9 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
     queue = make_queue(width, (vertices,))
     scatters_row = vertices.first + word_of(WeighedVertex, "scatters")
     record = interaction.bsdf.record
-    add_adjoints = make_adjoints_of_each(config, width, places, weights, adjoints)
+    add_adjoints = make_adjoints_of_each(config.surfaces, config.lights, width, places, weights, adjoints)
     chosen = make_chosen(paths)
-    accumulate_material = make_material_sink(config, wanted, "reverse")
+    accumulate_material = make_material_sink(config.surfaces, wanted, "reverse")
     scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
 

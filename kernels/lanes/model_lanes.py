@@ -18,7 +18,7 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.structs import BsdfSample
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 #: Models have a bit each, those from this number on a common one.
 LAST_BIT = 30
@@ -53,16 +53,17 @@ def model_bit(model: wp.int32) -> wp.int32:
     return 1 << wp.min(model, LAST_BIT)
 
 
-def make_model_lanes(config: PathConfig, width: int, first: int, places: Rows) -> ModelLanes:
+def make_model_lanes(surfaces: SurfaceConfig, lights: LightConfig, width: int, first: int, places: Rows) -> ModelLanes:
     """Make the functions.
 
     Args:
-        config: as for ``make_path_step``; it has several models.
+        surfaces: what the surfaces need; there are several models.
+        lights: what the lights need.
         width: number of lanes.
         first: the first row that they may take; the last one is the last of ``values``.
         places: where the paths stand, interactions.
     """
-    models = make_interaction(config).bsdf.each
+    models = make_interaction(surfaces, lights).bsdf.each
     drawn, values = stack_rows(width, first, BsdfSample, ScatteringValue)
     numbers = make_number(width)[0]
     draws = {k: _make_draw(k, f, width, places, drawn, numbers) for k, f in enumerate(models)}
@@ -149,17 +150,20 @@ def _make_evaluate(k: int, f: Functions, width: int, places: Rows, light_samples
     return evaluate_on_model if f.branches else evaluate_of_model
 
 
-def make_adjoints_of_each(config: PathConfig, width: int, places: Rows, weights: Rows, adjoints: Rows) -> wp.Function:
+def make_adjoints_of_each(
+    surfaces: SurfaceConfig, lights: LightConfig, width: int, places: Rows, weights: Rows, adjoints: Rows
+) -> wp.Function:
     """Return ``(models, standing, rows)``, which adds adjoints of material values.
 
     Args:
-        config: as for ``make_path_step``; no model branches, nor does an adjoint (``sweeps_materials``).
+        surfaces: what the surfaces need; no model branches, nor does an adjoint (``sweeps_materials``).
+        lights: what the lights need.
         width: number of lanes.
         places: where the paths stand, interactions.
         weights: directions ``wo`` and weights ``w`` of the scattering values there; 0 where there is none.
         adjoints: the record of material values that they are added to.
     """
-    bsdf = make_interaction(config).bsdf
+    bsdf = make_interaction(surfaces, lights).bsdf
     add, select = bsdf.algebra.add, bsdf.algebra.select
 
     def make(k: int, f: Functions) -> wp.Function:

@@ -123,10 +123,10 @@ def side_by_side(config: PathConfig) -> bool:
     Not beside light paths, which leave the camera's few surfaces. Nor in media, which paths collide in at random. Nor
     where shadow rays pass surfaces beside shapes without triangles. Properties of surfaces are no paths.
     """
-    if config.media is not None or (config.through and config.primitives):
+    if config.media is not None or (config.through and config.surfaces.primitives):
         return False
     alone = config.noted or config.delta_first or config.connections or config.shown
-    return config.ray_backend == "wide" and not alone
+    return config.rays.backend == "wide" and not alone
 
 
 @functools.cache
@@ -144,14 +144,14 @@ def make_lane_paths(
     ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``; ``lit``:
     with the radiance of the lights.
     """
-    width = config.ray_width
-    visibility = visibility_of_meshes(config)
+    width = config.rays.width
+    visibility = visibility_of_meshes(config.rays)
     closest_of_each, any_of_each = make_each(width)
-    trace_together = make_trace_together(config)
+    trace_together = make_trace_together(config.rays)
     view, start_in = make_camera_starts(config, filter_kind)
     scatter, onward = make_scatter(config, differential), make_onward(config, differential)
     sample_4d = make_sampler(config.sampler).sample_4d
-    has_lights = samples_lights(config)
+    has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
     get_number, put_number = make_number(width)
 
     lane_samples, states, hits, cameras, sums = stack_rows(
@@ -161,23 +161,34 @@ def make_lane_paths(
     choices, places, emissions = on_places.choices, on_places.places, on_places.emissions
     scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, ShadowQuery)
     end, lights, models, evaluate_models = looks.end, None, None, None
-    if len(config.bsdfs) > 1:
-        models = make_model_lanes(config, width, end, places)
+    if len(config.surfaces.bsdfs) > 1:
+        models = make_model_lanes(config.surfaces, config.lights, width, end, places)
         end = models.values.end
     if has_lights:
-        lights = make_light_lanes(config, differential, width, end, places, models.values if models else None)
+        lights = make_light_lanes(
+            config.surfaces, config.lights, differential, width, end, places, models.values if models else None
+        )
         evaluate_models = models.make_evaluate(lights.samples) if models else None
         events = lights.events
         shadow_row = events.first + word_of(NextEvent, "o")
         end = events.end
     through = config.through and has_lights
     passage = make_passage(config, differential) if through else None
-    through_event = make_through_event(config) if through else None
+    through_event = make_through_event(config.surfaces, config.lights) if through else None
     hit_row, look_row, blocked_row = hits.first, looks.first, looks.first + word_of(ShadowQuery, "blocked")
     ray_row, alive_row = (states.first + word_of(PathState, name) for name in ("o", "alive"))
     exact = None
-    if config.primitives:
-        exact = make_primitive_lanes(config, width, end, states, hits, lights.events if lights else None, looks)
+    if config.surfaces.primitives:
+        exact = make_primitive_lanes(
+            config.surfaces.primitives,
+            config.rays.hidden,
+            width,
+            end,
+            states,
+            hits,
+            lights.events if lights else None,
+            looks,
+        )
         end = exact.end
     store = make_kept_lanes(width, end, kept, whole, lit, on_places, lights)
 

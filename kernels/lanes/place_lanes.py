@@ -88,13 +88,13 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
         states: the paths' ``PathState``.
         hits: what their rays have met, ``RayHit``.
     """
-    emission_hit, sky_hit = make_emission_hit(config), make_sky_hit(config)
-    interaction = make_interaction(config)
+    emission_hit, sky_hit = make_emission_hit(config.lights, config.through), make_sky_hit(config.lights)
+    interaction = make_interaction(config.surfaces, config.lights)
     surface_of_any, surface_of, looked_up_record, look_up, put_together = interaction.parts
     fetch_triangle = make_fetch(Triangle, width)
-    tables = any(slot.table for slot in config.material)
-    several = len(config.bsdfs) > 1
-    environment = any(kind in ENVIRONMENTS for kind in config.lights)
+    tables = any(slot.table for slot in config.surfaces.material)
+    several = len(config.surfaces.bsdfs) > 1
+    environment = any(kind in ENVIRONMENTS for kind in config.lights.others)
     choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
     looked_up, places, emissions = stack_rows(width, surfaces.end, looked_up_record, interaction.record, EmissionHit)
     triangle_row, face_row = triangles.first, choices.first + word_of(LaneHit, "face")
@@ -150,7 +150,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             j += 1
         if leaving == 1:
             collect_sky(scene, rows)
-        if wp.static(bool(config.area)):
+        if wp.static(bool(config.lights.area)):
             j = wp.int32(0)
             while j < width:
                 choice = choices.get(rows, j)
@@ -181,7 +181,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice = choices.get(rows, j)
             tri = triangles.get(rows, j)
             on = choice.on == 1
-            if wp.static(bool(config.primitives)):
+            if wp.static(bool(config.surfaces.primitives)):
                 on = on and not is_primitive(tri)
                 tri = corner_of(tri)
             u = wp.where(on, hit.u, 0.0)
@@ -193,7 +193,7 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             choice.behind = wp.where(wp.dot(surface.n, -states.get(rows, j).d) < 0.0, 1, 0)
             choices.put(rows, j, choice)
             j += 1
-        if wp.static(bool(config.primitives)):
+        if wp.static(bool(config.surfaces.primitives)):
             stand_on_primitives(scene, standing, rows)
         looked = wp.int32(standing)
         if wp.static(tables):

@@ -18,7 +18,6 @@ from warp_psdr.kernels.primitive.kind import Kind
 from warp_psdr.kernels.primitive.table import join, kinds_of
 from warp_psdr.kernels.reading import shape_at, triangle_at
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.vertex import PathConfig
 
 
 class PrimitiveLanes(NamedTuple):
@@ -36,12 +35,20 @@ class PrimitiveLanes(NamedTuple):
 
 
 def make_primitive_lanes(
-    config: PathConfig, width: int, first: int, states: Rows, hits: Rows, events: Rows | None, looks: Rows
+    primitives: tuple[int, ...],
+    hidden: bool,
+    width: int,
+    first: int,
+    states: Rows,
+    hits: Rows,
+    events: Rows | None,
+    looks: Rows,
 ) -> PrimitiveLanes:
     """Make the functions.
 
     Args:
-        config: as for ``make_path_step``; it has primitives.
+        primitives: kinds of shapes without triangles.
+        hidden: True: there are area lights, which the camera does not see.
         width: number of lanes.
         first: the first row that they may take.
         states: the paths' ``PathState``.
@@ -49,7 +56,7 @@ def make_primitive_lanes(
         events: next-event estimates, ``NextEvent``; None: there are no lights.
         looks: their ``ShadowQuery``.
     """
-    kinds = kinds_of(config.primitives)
+    kinds = kinds_of(primitives)
     stepped = {kind: kind.make_lanes(width, first) for kind in kinds if kind.make_lanes is not None}
     end = max((lanes.end for lanes in stepped.values()), default=first)
 
@@ -71,7 +78,7 @@ def make_primitive_lanes(
         while is_primitive_at(scene, k):
             tri = triangle_at(scene, k)
             shown = wp.bool(True)
-            if wp.static(config.hidden):
+            if wp.static(hidden):
                 shown = depth > 0 or shape_at(scene, tri.shape).emitter < 0
             if shown:
                 meet_kind(scene, tri, k, rows)

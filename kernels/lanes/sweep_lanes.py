@@ -84,13 +84,13 @@ def make_lane_sweep(config: PathConfig, wanted: GradientRequest, paths: LanePath
     frame_vjp = make_frame_vjp(False)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     _sweep, finish_path, _finish_vertex = make_sweep(config, wanted, "reverse")
-    weight_before, weight_of_light = make_contact_weights(config.ray_backend, width)
+    weight_before, weight_of_light = make_contact_weights(config.rays.backend, width)
     chosen = make_chosen(paths)
     accumulate_light, accumulate = make_sweep_sinks(
-        config, wanted, paths, swept, links, pulls, first_adjoints, lit_corners, next_corners
+        config.surfaces, config.lights, wanted, paths, swept, links, pulls, first_adjoints, lit_corners, next_corners
     )
-    has_lights = bool(config.area or config.lights)
-    area = bool(config.area)
+    has_lights = bool(config.lights.area or config.lights.others)
+    area = bool(config.lights.area)
 
     @wp.func
     def begin(

@@ -18,7 +18,7 @@ from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import Corners, VertexAdjoint, make_vertex_sink, point_on
 from warp_psdr.kernels.texture.texture import make_texture_sink
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 
 @wp.struct
@@ -101,7 +101,8 @@ def make_chosen(paths: LanePaths):
 
 
 def make_sweep_sinks(
-    config: PathConfig,
+    surfaces: SurfaceConfig,
+    lights: LightConfig,
     wanted: GradientRequest,
     paths: LanePaths,
     swept: Rows,
@@ -118,21 +119,21 @@ def make_sweep_sinks(
     the vertex n + 1.
     """
     kept_at = paths.record
-    side_of = make_side(config.two_sided)
+    side_of = make_side(surfaces.two_sided)
     sink3 = make_sink_vec3("reverse")
     accumulate_vertex = make_vertex_sink(
-        "reverse", config.smooth, config.flat, config.uv, False, wanted.texcoords, False
+        "reverse", surfaces.smooth, surfaces.flat, surfaces.uv, False, wanted.texcoords, False
     )
-    material_record = make_bsdf(config.bsdfs).record
-    accumulate_material = make_material_sink(config, wanted, "reverse")
-    has_lights = bool(config.area or config.lights)
-    accumulate_source = make_light_sink(config, wanted, "reverse", links=False)[1] if has_lights else None
-    sources = bool(config.lights) or wanted.radiance or wanted.to_uv or wanted.texcoords
+    material_record = make_bsdf(surfaces.bsdfs).record
+    accumulate_material = make_material_sink(surfaces, wanted, "reverse")
+    has_lights = bool(lights.area or lights.others)
+    accumulate_source = make_light_sink(surfaces, lights, wanted, "reverse", links=False)[1] if has_lights else None
+    sources = bool(lights.others) or wanted.radiance or wanted.to_uv or wanted.texcoords
     accumulate_emission = (
-        make_texture_sink("reverse", config.area, wanted.radiance, wanted.to_uv, True) if config.area else None
+        make_texture_sink("reverse", lights.area, wanted.radiance, wanted.to_uv, True) if lights.area else None
     )
-    lights = make_lights(config.lights, "reverse", wanted.lights) if config.lights else None
-    environment_vjp = lights.environment_vjp if lights else None
+    others = make_lights(lights.others, "reverse", wanted.lights) if lights.others else None
+    environment_vjp = others.environment_vjp if others else None
 
     @wp.func
     def accumulate_corners(scene: Scene, target: wp.array(dtype=wp.float32), tri: Triangle, a: Corners) -> wp.float32:
@@ -171,7 +172,7 @@ def make_sweep_sinks(
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         adjoint = VertexAdjoint()
         lost = wp.float32(0.0)
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             vertex = record.vertex
             emitter = shape_at(scene, record.tri.shape).emitter
             if emitter >= 0 and vertex.e_weight > 0.0 and wp.dot(record.tri.normal, vertex.d) < 0.0:
@@ -215,7 +216,7 @@ def make_sweep_sinks(
                             scene, target, scene.bsdfs[b].slots, vertex.face, vertex.u, vertex.v, stood.uv, m, adjoint
                         )
                         path.lost += lost
-                        if wp.static(wanted.shapes and config.smooth):
+                        if wp.static(wanted.shapes and surfaces.smooth):
                             if n > 0 and stood.length > 0.0:
                                 w = 1.0 - vertex.u - vertex.v
                                 path.lost += sink3(target, shape.normal_offset + 3 * record.tri.i0, w * pull.n)

@@ -21,7 +21,6 @@ from warp_psdr.kernels.lanes.place_lanes import LaneHit
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig
 
 _APPEND = (
     TYPES
@@ -125,14 +124,14 @@ def make_queue(width: int, records: tuple[Rows, ...]) -> Queue:
     )
 
 
-def make_trace_waiting(config: PathConfig, paths: LanePaths) -> tuple[int, wp.Function]:
+def make_trace_waiting(scatter: bool, paths: LanePaths) -> tuple[int, wp.Function]:
     """Return the number of paths that are traced together, and the function that traces them.
 
     ``trace_waiting(scene, camera, pixels, bundle, max_depth, rr_depth, paths_out)``: the samples of a bundle, in
     their order.
 
     Args:
-        config: what the scene needs.
+        scatter: False: paths end at the first surface.
         paths: how its paths are traced; nothing of their vertices is kept.
     """
     width, on_places = paths.width, paths.on_places
@@ -196,14 +195,14 @@ def make_trace_waiting(config: PathConfig, paths: LanePaths) -> tuple[int, wp.Fu
             if depth < 0:
                 paths.start(scene, camera, pixels, bundle, front, 0, rows)
             else:
-                if wp.static(config.scatter):
+                if wp.static(scatter):
                     take_next(scene, front, count, rows)
                     paths.scatter(scene, count, depth, max_depth, rr_depth, rows)
                     paths.advance(True, rows)
             paths.trace(scene, depth + 1, rows)
             on_places.see(rows)
             on_places.collect(scene, rows)
-            last = wp.static(not config.scatter) or (max_depth >= 0 and depth + 2 >= max_depth)
+            last = wp.static(not scatter) or (max_depth >= 0 and depth + 2 >= max_depth)
             end_or_wait(last, rows)
             following = queue.append(rows, staying_row, following)
             for j in range(count):

@@ -31,8 +31,8 @@ def make_interface(config: PathConfig):
     ``behind(scene, hit, d, t_max, depth) -> RayHit``: the first surface that is there, from what a ray along d has met
     on; ``depth``: path vertices in front of it.
     """
-    visibility = visibility_of(config)
-    is_interface, past = make_null_surface(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
 
     @wp.func
     def behind(scene: Scene, hit: RayHit, d: wp.vec3, t_max: wp.float32, depth: wp.int32) -> RayHit:

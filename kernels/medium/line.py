@@ -54,8 +54,8 @@ def make_line(config: PathConfig):
     ``medium_at(scene, o, x, medium) -> int32``: the medium at x, from that at o: of all that lies between, the border
     of a medium that is next to x says it.
     """
-    visibility = visibility_of(config)
-    is_interface, past = make_null_surface(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
     assert config.media is not None
     grids = config.media.grids
     extinction_along = make_extinction_along(config.media.phases)

@@ -16,7 +16,7 @@ from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.step import step_beside, step_off_triangle
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 
 @wp.struct
@@ -29,21 +29,21 @@ class PassedSurface:
     o: wp.vec3  # where the ray starts behind it
 
 
-def null_model_of(config: PathConfig) -> int:
+def null_model_of(bsdfs: tuple[str, ...]) -> int:
     """Return the number of the model of surfaces that are not there; -1: there are none."""
-    return next((i for i, key in enumerate(config.bsdfs) if declaration_of(key)[0] is NULL), -1)
+    return next((i for i, key in enumerate(bsdfs) if declaration_of(key)[0] is NULL), -1)
 
 
 @functools.cache
-def make_null_surface(config: PathConfig):
+def make_null_surface(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``(is_interface, past)``.
 
     ``is_interface(scene, face) -> bool``: of a surface that is not there, face -1: False.
     ``past(scene, face, u, v, d) -> PassedSurface``: of any surface that a ray along d meets.
     """
-    null_model = null_model_of(config)
-    position, _cross_of = make_position(config.primitives)
-    interaction = make_interaction(config)
+    null_model = null_model_of(surfaces.bsdfs)
+    position, _cross_of = make_position(surfaces.primitives)
+    interaction = make_interaction(surfaces, lights)
 
     @wp.func
     def is_interface(scene: Scene, face: wp.int32) -> wp.bool:
@@ -56,7 +56,7 @@ def make_null_surface(config: PathConfig):
     @wp.func
     def past(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> PassedSurface:
         r = PassedSurface()
-        if wp.static(len(config.primitives) > 0):
+        if wp.static(len(surfaces.primitives) > 0):
             at = interaction.at(scene, face, u, v, d)
             r.shape = at.shape
             r.ng = at.ng

@@ -67,10 +67,10 @@ def make_media_passage(config: PathConfig, differential: bool):
     keep going where the transmittance is exactly zero.
     """
     assert config.media is not None
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf = interaction.bsdf
-    is_interface, past = make_null_surface(config)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
     chromatic = config.media.chromatic
     grids = config.media.grids
     flakes = PHASE_SGGX in config.media.phases
@@ -110,7 +110,7 @@ def make_media_passage(config: PathConfig, differential: bool):
                     r.probability *= passed[0]
         return r
 
-    if not has_null_lobes(config.bsdfs):
+    if not has_null_lobes(config.surfaces.bsdfs):
 
         @wp.func
         def media_segment(
@@ -138,7 +138,7 @@ def make_media_passage(config: PathConfig, differential: bool):
         return media_segment
 
     # Masks and thin glass, which have a weight.
-    weighs = any(model.has_null and model is not NULL for model in models_of(config.bsdfs))
+    weighs = any(model.has_null and model is not NULL for model in models_of(config.surfaces.bsdfs))
 
     @wp.func
     def media_passage(

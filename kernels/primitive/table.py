@@ -25,7 +25,7 @@ KINDS: tuple[Kind, ...] = (
 
 
 def kinds_of(primitives: tuple[int, ...]) -> list[Kind]:
-    """Return the kinds of a scene: those whose numbers are in ``PathConfig.primitives``."""
+    """Return the kinds of a scene: those whose numbers are in ``SurfaceConfig.primitives``."""
     return [kind for kind in KINDS if kind.number in primitives]
 
 

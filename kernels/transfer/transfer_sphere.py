@@ -108,7 +108,7 @@ def make_in_scattering(config: PathConfig):
 def make_sphere_edge(config: PathConfig):
     """Return ``sphere_edge(scene, edges, sampler, vertex, depth, max_depth, rr_depth) -> SphereEdge``."""
     assert config.media is not None
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     phase = make_phase(config.media.phases)
     passage = make_media_passage(config, False)
     radiance_along = make_radiance_along(config)

@@ -9,7 +9,6 @@ Derivation: ``docs/theory/media.md#the-differential-equation``.
 """
 
 import functools
-from dataclasses import replace
 
 import warp as wp
 
@@ -88,22 +87,23 @@ def make_transfer_sweep(config: PathConfig, wanted: GradientRequest, role: str, 
     ``finish(scene, target, camera, sample, carry) -> float32``: from the first step to the camera.
     """
     assert config.media is not None
-    surfaces = replace(config, through=False)  # transmittances are this sweep's
-    interaction = make_interaction(surfaces)
-    frame_vjp = make_frame_vjp(config.tangent)
+    interaction = make_interaction(config.surfaces, config.lights)
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
     phase = make_phase(config.media.phases)
     by_cosine, _by_place = make_phase_slopes(config.media.phases)
-    has_lights = bool(config.area or config.lights)
+    has_lights = bool(config.lights.area or config.lights.others)
     has_smooth = interaction.eval is not None
-    smooth_lights = samples_lights(config)
-    radiance_of, accumulate_light = make_light_sink(surfaces, wanted, role, False) if has_lights else (None, None)
-    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
+    smooth_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of, accumulate_light = (
+        make_light_sink(config.surfaces, config.lights, wanted, role, False) if has_lights else (None, None)
+    )
+    lights = make_lights(config.lights.others, role, wanted.lights) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
     accumulate_shadow = make_shadow_sink(config, role)
     accumulate_end = make_light_end_sink(wanted, role)
     accumulate_crossing = make_interface_sink(role)
     accumulate_edge = make_edge_sink(role) if sees_edges else None
-    accumulate_vertex = make_vertex_sink(role, False, True, False, config.tangent, False, True)
+    accumulate_vertex = make_vertex_sink(role, False, True, False, config.surfaces.tangent, False, True)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
 
     @wp.func

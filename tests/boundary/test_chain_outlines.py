@@ -50,8 +50,8 @@ def rays_past(count: int, distance: float) -> tuple[np.ndarray, np.ndarray, np.n
 
 @functools.cache
 def outline_kernel(config: PathConfig):
-    outline_at = make_chain_outline(config.primitives)
-    visibility = visibility_of(config)
+    outline_at = make_chain_outline(config.surfaces.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False)
     def outlines(
@@ -119,8 +119,8 @@ def test_outlines_lie_on_the_rays_that_touch_them(kind: str) -> None:
 
 @functools.cache
 def grazing_kernel(config: PathConfig):
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
 
     @wp.kernel(module="unique", enable_backward=False)
     def grazing(
@@ -176,10 +176,10 @@ def test_hits_aside_of_the_outline_of_a_network_face_the_ray() -> None:
 
 @functools.cache
 def crease_kernel(config: PathConfig):
-    outline_at = make_chain_outline(config.primitives)
-    one_sheet = make_one_sheet(config.primitives)
-    patch = make_patch(config.primitives)
-    visibility = visibility_of(config)
+    outline_at = make_chain_outline(config.surfaces.primitives)
+    one_sheet = make_one_sheet(config.surfaces.primitives)
+    patch = make_patch(config.surfaces.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.func
     def met(scene: Scene, o: wp.vec3, at: wp.vec3) -> Link:

@@ -170,7 +170,7 @@ def test_chains_keep_straight_edges_together() -> None:
 
 @functools.cache
 def make_round_trip(config):
-    aim, coordinates = make_light_square(config)
+    aim, coordinates = make_light_square(config.lights)
 
     @wp.kernel(module="unique", enable_backward=False)
     def round_trip(

@@ -33,10 +33,10 @@ PROJECTIVE = psdr.boundary.Projective(guiding=OCTREE, paths=8192)
 
 def make_round_trip(config):
     """A ray's hit is projected, and the numbers of the result are drawn again."""
-    project = make_outline_projection(config.primitives)
-    own = make_own_numbers(config.primitives)
-    silhouettes, rims = make_silhouettes(config.primitives), make_rims(config.primitives)
-    visibility = visibility_of(config)
+    project = make_outline_projection(config.surfaces.primitives)
+    own = make_own_numbers(config.surfaces.primitives)
+    silhouettes, rims = make_silhouettes(config.surfaces.primitives), make_rims(config.surfaces.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False)
     def round_trip(

@@ -30,10 +30,10 @@ SHAPES = {
 
 
 def make_turns_kernel(config: PathConfig) -> wp.Kernel:
-    closest = visibility_of(config).closest
-    surface = make_interaction(config).surface
-    normal = make_normal_at(config.primitives)
-    turn = make_turn(config.primitives)
+    closest = visibility_of(config.rays, config.surfaces.primitives).closest
+    surface = make_interaction(config.surfaces, config.lights).surface
+    normal = make_normal_at(config.surfaces.primitives)
+    turn = make_turn(config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False)
     def turns(
@@ -87,9 +87,9 @@ def test_turns_equal_differences_of_normals(kind: str) -> None:
 
 
 def make_curve_turns_kernel(config: PathConfig) -> wp.Kernel:
-    closest = visibility_of(config).closest
-    surface = make_interaction(config).surface
-    turn = make_turn(config.primitives)
+    closest = visibility_of(config.rays, config.surfaces.primitives).closest
+    surface = make_interaction(config.surfaces, config.lights).surface
+    turn = make_turn(config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False)
     def curve_turns(

@@ -41,7 +41,7 @@ LIGHTS = {
 
 @functools.cache
 def make_draw(config: PathConfig) -> wp.Kernel:
-    light_ray = make_light_ray(config)
+    light_ray = make_light_ray(config.lights)
 
     @wp.kernel(module="unique", enable_backward=False)
     def draw(

@@ -305,7 +305,7 @@ def test_other_widths_have_the_same_bits(width, monkeypatch):
     for lanes in (acceleration.host_width(), width):
         monkeypatch.setattr(acceleration, "host_width", lambda lanes=lanes: lanes)
         scene = psdr.load_file(BOX, resolution=24)
-        assert psdr.plan(scene).config.ray_width == lanes
+        assert psdr.plan(scene).config.rays.width == lanes
         images.append(psdr.render(scene, spp=5, seed=2).numpy())
     np.testing.assert_allclose(images[0], images[1], rtol=0, atol=1.0e-6 * images[0].mean())
 

@@ -52,12 +52,12 @@ DEPTH = 5
 def make_all_weights(config):
     """Return the kernel: the last join of each light path, cut at every place; the weights' sum, and how many."""
     light_path, _connections = make_subpaths(config, True)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     cuts_behind, walk_on, share_of_lights = make_camera_cuts(config)
-    hit_weight = make_hit_weight(config)
+    hit_weight = make_hit_weight(config.lights, config.through)
     connect = make_connect(config, True)
     project = make_projection(config.camera)[0]
-    sky_pdf = make_lights(config.lights, None, ()).environment_pdf
+    sky_pdf = make_lights(config.lights.others, None, ()).environment_pdf
     most = config.most_vertices
     inner = config.connections == "all"
 

@@ -116,7 +116,7 @@ def test_one_albedo_compiles_no_geometry(diffuse):
     albedo = psdr.plan(scene, names=["floor.bsdf.reflectance.value"], integrator=INTEGRATOR)
     everything = psdr.plan(scene, names=list(scene.parameters), integrator=INTEGRATOR)
     assert not albedo.wanted.geometry and everything.wanted.geometry
-    assert [slot.name for slot in albedo.config.material] == ["reflectance"]
+    assert [slot.name for slot in albedo.config.surfaces.material] == ["reflectance"]
     assert albedo.wanted.material == (True,)
     words = ("barycentrics_dot", "connection_vjp", "normalize_vjp", "accumulate_vertex", "camera_vjp")
     small, large = (functions_of(passes.camera_gradient_kernels(plan, "reverse")[0]) for plan in (albedo, everything))

@@ -48,7 +48,7 @@ def trace(
 def scene() -> psdr.Scene:
     shapes = {name: {"type": name, "exact": True, "to_world": POSE} for name in NAMES}
     held = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "sky": {"type": "constant"}, **shapes})
-    assert psdr.plan(held).config.primitives == tuple(sorted(KINDS))
+    assert psdr.plan(held).config.surfaces.primitives == tuple(sorted(KINDS))
     return held
 
 

@@ -74,7 +74,7 @@ def test_without_exact_nothing_changes() -> None:
     plain, said = scene(ball={"type": "sphere"}), scene(ball={"type": "sphere", "exact": False})
     np.testing.assert_array_equal(plain.triangles.numpy(), said.triangles.numpy())
     assert psdr.plan(plain).config == psdr.plan(said).config
-    assert psdr.plan(plain).config.primitives == ()
+    assert psdr.plan(plain).config.surfaces.primitives == ()
 
 
 def test_center_and_radius_make_the_pose() -> None:

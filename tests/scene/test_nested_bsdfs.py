@@ -204,7 +204,7 @@ def test_a_bump_map_may_stand_beside_what_moves() -> None:
     })  # fmt: skip
     names = ["y.vertex_positions", "x.bsdf.nested_texture.data", "x.bsdf.scale"]
     plan = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3), names=names)
-    assert plan.boundary is not None and plan.config.tangent
+    assert plan.boundary is not None and plan.config.surfaces.tangent
 
 
 def test_normals_of_a_mirror_bend_what_is_seen_in_it() -> None:

@@ -40,7 +40,8 @@ def test_a_path_vertex_on_a_curve_is_near_it_and_has_a_density() -> None:
     """
     floor = {"type": "rectangle"}
     scene = psdr.load_dict({"type": "scene", "camera": camera(), "floor": floor} | plates(3e-3, 1.0, 1.5))
-    segment = make_curve_segment(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config)
+    config = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config
+    segment = make_curve_segment(config.rays, config.surfaces.primitives)
     edges = curve_edges(scene, scene_curves(scene))
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -71,7 +72,7 @@ def test_a_path_vertex_on_a_curve_is_near_it_and_has_a_density() -> None:
 def test_lights_that_an_edge_is_not_aimed_at_have_no_coordinates() -> None:
     """Other shapes, lights seen from behind, and those that nothing beside the edge hides."""
     scene = psdr.load_dict(room())
-    _aim, coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config)
+    _aim, coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config.lights)
     edges = secondary_edges(scene, {1})
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -104,7 +105,7 @@ def test_the_last_coordinates_are_a_direction_of_a_map() -> None:
     sky[-1] = 0.0
     plate, light = {"type": "rectangle"}, {"type": "envmap", "bitmap": sky}
     scene = psdr.load_dict({"type": "scene", "camera": camera(), "plate": plate, "light": light})
-    aim, _coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config)
+    aim, _coordinates = make_light_square(psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=2)).config.lights)
     edges = secondary_edges(scene, {0})
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -249,7 +250,7 @@ def test_where_a_box_sinks_into_the_floor_segments_end_at_its_edge() -> None:
     """Rays towards the floor start in front of the edge, where a sunk edge is below it: tau is 1 there, not more."""
     scene = sunk()
     config = psdr.plan(scene, integrator=psdr.PathIntegrator(max_depth=3)).config
-    segment, place = make_segment(config), make_techniques(config, False)[2]
+    segment, place = make_segment(config), make_techniques(config.lights, False)[2]
 
     @wp.kernel(module="unique", enable_backward=False)
     def drawn(

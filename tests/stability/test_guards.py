@@ -9,7 +9,7 @@ import pytest
 import warp as wp
 
 import warp_psdr as psdr
-from tests.config_helpers import SIMPLE, materials
+from tests.config_helpers import SIMPLE, changed, materials
 from warp_psdr.kernels.boundary.detector import Walk, make_walk
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeNode, lobe_estimate, node_importance
 from warp_psdr.kernels.boundary.edge_sampling.ltc_line import (
@@ -41,16 +41,15 @@ from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene, Triangle
 from warp_psdr.kernels.surface import interpolate, length_of_normals, normalize_vjp, unit_normal
-from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.vertex_motion import VertexTangent, normalize_jvp
 
 from .sweeps import room
 
 SAMPLE_VISIBLE = make_microfacet("ggx").sample_visible
 DRAW_LIGHT = make_area((TEXTURE_CONSTANT,)).sample_point
-METAL = PathConfig(**{**vars(SIMPLE), **materials("roughconductor (ggx)")})
-INTERACTION = make_interaction(METAL).record
-SCATTERING_LOBES = make_scattering_lobes(METAL)
+METAL = changed(SIMPLE, **materials("roughconductor (ggx)"))
+INTERACTION = make_interaction(METAL.surfaces, METAL.lights).record
+SCATTERING_LOBES = make_scattering_lobes(METAL.surfaces, METAL.lights)
 FRAME_JVP = make_frame_jvp(True)
 
 

@@ -18,8 +18,9 @@ def test_every_family_has_a_touch() -> None:
 
 @pytest.mark.parametrize("family", FAMILIES, ids=lambda family: family.touch)
 def test_terms_are_those_that_the_touch_serves(family) -> None:
-    touch, config = touch_of(family.touch, CONFIGS[family.touch]), CONFIGS[family.touch]
-    assert family.is_in(config.primitives) and not family.is_in(())
+    config = CONFIGS[family.touch]
+    touch = touch_of(family.touch, config.surfaces.primitives, config.sampler)
+    assert family.is_in(config.surfaces.primitives) and not family.is_in(())
     assert (touch.own_scale is None) == (family.streams.foreground is None)
     found = [of.TERMS.get(family.touch) for of in (primary_silhouettes, secondary_silhouettes, foreground_silhouettes)]
     made = [term for term in found if term is not None]

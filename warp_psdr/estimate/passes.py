@@ -205,7 +205,7 @@ def visible(scene: Scene, plan: Plan, sensor: int, spp: int, seed: int, progress
     rows = wp.zeros((camera.crop_height, camera.crop_width, ROW), dtype=wp.float32, device=scene.device)
     launch_pass(
         scene,
-        make_aov_kernel(replace(plan.config, uv=True)),
+        make_aov_kernel(replace(plan.config, surfaces=replace(plan.config.surfaces, uv=True))),
         (camera.crop_width, camera.crop_height),
         PixelSamples(spp, seed, plan.max_depth, plan.rr_depth),
         camera,

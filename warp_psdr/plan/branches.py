@@ -42,14 +42,16 @@ def make_branches_of_shapes(config: PathConfig, wanted: GradientRequest, role: s
     """Return the kernel of resampled branches by the shapes of lobes."""
     if config.media is not None:
         return make_phase_branch_kernel(config, role, kept.candidates, False)
-    return make_branch_kernel(config, GradientRequest(material=branched_values(config, wanted)), role, kept.candidates)
+    return make_branch_kernel(
+        config, GradientRequest(material=branched_values(config.surfaces, wanted)), role, kept.candidates
+    )
 
 
 def resampled_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: Kept) -> list[wp.Kernel]:
     """Return the kernels by the shapes of lobes, by what turns normals, and of the rest, of what is requested."""
     if config.media is not None:
         return [make_branches_of_shapes(config, wanted, role, kept), *beside_branches(config, wanted, role, kept)]
-    branched = branched_values(config, wanted)
+    branched = branched_values(config.surfaces, wanted)
     rest = without(wanted, branched)
     found = [make_branches_of_shapes(config, wanted, role, kept)] if any(branched) else []
     if not refused_by_tilts("", config, rest):
@@ -63,7 +65,7 @@ def beside_branches(config: PathConfig, wanted: GradientRequest, role: str, kept
     if config.media is not None:
         rest = replace(wanted, media=tuple(kind for kind in wanted.media if kind != PHASE))
         return replayed(config, rest, role, kept)
-    return replayed(config, without(wanted, branched_values(config, wanted)), role, kept)
+    return replayed(config, without(wanted, branched_values(config.surfaces, wanted)), role, kept)
 
 
 def keep_lobes(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
@@ -78,7 +80,7 @@ def make_decomposed(config: PathConfig, wanted: GradientRequest, role: str, kept
     """Return the kernel of decomposed branches."""
     if config.media is not None:
         return make_phase_branch_kernel(config, role, kept.candidates, True)
-    branched = GradientRequest(material=branched_values(config, wanted))
+    branched = GradientRequest(material=branched_values(config.surfaces, wanted))
     return make_branch_kernel(config, branched, role, kept.candidates, True)
 
 
@@ -91,9 +93,9 @@ def refused_by_decomposed(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why lobes of one sign are not known; empty: they are."""
     if config.media is not None:
         return _refused_in_media("interior.Decomposed()", config, wanted)
-    unsplit = unsplit_values(config, wanted)
+    unsplit = unsplit_values(config.surfaces, wanted)
     if unsplit:
-        left = [(m, set(unsplit) - set(m.decomposed)) for m in models_of(config.bsdfs)]
+        left = [(m, set(unsplit) - set(m.decomposed)) for m in models_of(config.surfaces.bsdfs)]
         models = sorted({repr(m.plugin) for m, names in left if names & {value.name for value in m.values}})
         return (
             "interior.Decomposed() knows the lobes of the roughnesses of 'roughconductor', the exponents of "
@@ -113,7 +115,7 @@ def keep_pairs(_method: interior.Method, max_depth: int, rr_depth: int) -> Kept:
 def turned_by(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     """Return what of a request may turn normals of glossy surfaces."""
     return GradientRequest(
-        material=tilting_values(config, wanted),
+        material=tilting_values(config.surfaces, wanted),
         to_uv=wanted.to_uv,
         shapes=wanted.shapes,
         texcoords=wanted.texcoords,
@@ -129,19 +131,19 @@ def pair_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept: K
 
 def unpaired(config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     """Return what of a request is not paired: all but the normals of glossy surfaces."""
-    kept_still = {name for model in models_of(config.bsdfs) if not model.glossy for name in model.tilts}
-    turned = tilting_values(config, wanted)
-    own = tuple(t and slot.name not in kept_still for t, slot in zip(turned, config.material, strict=True))
+    kept_still = {name for model in models_of(config.surfaces.bsdfs) if not model.glossy for name in model.tilts}
+    turned = tilting_values(config.surfaces, wanted)
+    own = tuple(t and slot.name not in kept_still for t, slot in zip(turned, config.surfaces.material, strict=True))
     return replace(without(wanted, own), paired=True)
 
 
 def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why nothing is paired; empty: something is."""
     name = "interior.Antithetic()"
-    if not has_glossy_lobes(config.bsdfs):
+    if not has_glossy_lobes(config.surfaces.bsdfs):
         return f"{name} draws pairs at glossy surfaces, and the scene has none. Use interior.Replay()"
     if not turns_normals(config, wanted):
-        if any(branched_values(config, wanted)):
+        if any(branched_values(config.surfaces, wanted)):
             return (
                 f"{name} draws pairs for what turns the normals of glossy surfaces; derivatives by the shape of a lobe "
                 "are alike on both sides of it, and gain nothing. Use interior.Resampled()"
@@ -155,16 +157,16 @@ def refused_by_antithetic(config: PathConfig, wanted: GradientRequest) -> str:
 
 def turns_normals(config: PathConfig, wanted: GradientRequest) -> bool:
     """Whether anything that is requested may turn the normals of glossy surfaces."""
-    slides = wanted.to_uv and any(tilts(slot, config.bsdfs) for slot in config.material)
-    turns = wanted.geometry or slides or any(tilting_values(config, wanted))
-    return turns and has_glossy_lobes(config.bsdfs)
+    slides = wanted.to_uv and any(tilts(slot, config.surfaces.bsdfs) for slot in config.surfaces.material)
+    turns = wanted.geometry or slides or any(tilting_values(config.surfaces, wanted))
+    return turns and has_glossy_lobes(config.surfaces.bsdfs)
 
 
 def refused_by_tilts(name: str, config: PathConfig, wanted: GradientRequest) -> str:
     """Return why no two directions are drawn by how normals turn; empty: they are."""
     if not turns_normals(config, wanted):
         return f"{name}: no parameter that is requested turns the normals of glossy surfaces. Use interior.Replay()"
-    if wanted.geometry and has_delta_lobes(config.bsdfs):
+    if wanted.geometry and has_delta_lobes(config.surfaces.bsdfs):
         what, instead = WORDS["moving_mirrors"]
         return f"{name} does not know {what}; use interior.Replay(), or {instead}"
     return _refused_behind_null(name, config)
@@ -173,7 +175,7 @@ def refused_by_tilts(name: str, config: PathConfig, wanted: GradientRequest) -> 
 def refused_by_resampled(config: PathConfig, wanted: GradientRequest) -> str:
     """Return why nothing is branched; empty: something is."""
     name = "interior.Resampled()"
-    if config.media is None and not any(branched_values(config, wanted)) and turns_normals(config, wanted):
+    if config.media is None and not any(branched_values(config.surfaces, wanted)) and turns_normals(config, wanted):
         return refused_by_tilts(name, config, wanted)
     return refused_by_branches(name, config, wanted)
 
@@ -182,7 +184,7 @@ def refused_by_branches(name: str, config: PathConfig, wanted: GradientRequest) 
     """Return why nothing is branched by the shape of a lobe; empty: something is."""
     if config.media is not None:
         return _refused_in_media(name, config, wanted)
-    if not any(branched_values(config, wanted)):
+    if not any(branched_values(config.surfaces, wanted)):
         normals = ", and nothing turns the normals of a glossy one" if name == "interior.Resampled()" else ""
         return (
             f"{name} draws directions for the shapes of lobes, and no parameter that is requested is one "
@@ -193,7 +195,7 @@ def refused_by_branches(name: str, config: PathConfig, wanted: GradientRequest) 
 
 
 def _refused_behind_null(name: str, config: PathConfig) -> str:
-    if has_null_lobes(config.bsdfs) and DELTA_LIGHTS & set(config.lights):
+    if has_null_lobes(config.surfaces.bsdfs) and DELTA_LIGHTS & set(config.lights.others):
         return (
             f"{name} does not let shadow rays pass masks, thin glass and 'null', and lights of no area are found by "
             "nothing else behind them. Use interior.Replay(), or area lights"
@@ -223,7 +225,7 @@ def drawn_by_choice(config: PathConfig, wanted: GradientRequest) -> GradientRequ
     No opacity, most of whose derivative shadow rays have, and nothing that turns normals of glossy surfaces, as the
     scale of bumps does.
     """
-    left = zip(config.material, tilting_values(config, wanted), strict=True)
+    left = zip(config.surfaces.material, tilting_values(config.surfaces, wanted), strict=True)
     return without(wanted, tuple(turns or slot.name.rsplit("_", 1)[-1] == OPACITY for slot, turns in left))
 
 
@@ -251,7 +253,9 @@ def branch_kernels(config: PathConfig, wanted: GradientRequest, role: str, kept:
 
 def _not_of_shapes(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:
     """Return what is requested but for the shapes of lobes that are drawn for."""
-    return without(wanted, branched_values(config, drawn_by_choice(config, wanted))) if method.shapes else wanted
+    return (
+        without(wanted, branched_values(config.surfaces, drawn_by_choice(config, wanted))) if method.shapes else wanted
+    )
 
 
 def rest_of(method: interior.Branches, config: PathConfig, wanted: GradientRequest) -> GradientRequest:

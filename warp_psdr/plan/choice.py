@@ -123,7 +123,7 @@ def offered(config: PathConfig, wanted: GradientRequest, moves_edges: bool) -> t
     ``moves_edges``: whether there is a boundary term. What moves with it is left to replay: most of its noise is that
     of other terms.
     """
-    if config.media is not None or config.primitives:
+    if config.media is not None or config.surfaces.primitives:
         return ()
     found = [] if refused_by_branches("", config, drawn_by_choice(config, wanted)) else ["shapes"]
     if not (moves_edges or refused_by_antithetic(config, wanted)):
@@ -137,7 +137,7 @@ def candidates(plan: Plan) -> list[tuple[str, Branches]]:
     found = []
     if "shapes" in plan.offered:
         found.append(("shapes", Branches(shapes="resampled")))
-        if not unsplit_values(plan.config, drawn_by_choice(plan.config, plan.wanted)):
+        if not unsplit_values(plan.config.surfaces, drawn_by_choice(plan.config, plan.wanted)):
             found.append(("shapes", Branches(shapes="decomposed")))
     if "normals" in plan.offered:
         found += [("normals", Branches(normals=method)) for method in NORMALS_COST]
@@ -153,7 +153,7 @@ def both(found: tuple[Branches, ...]) -> Branches:
 
 def cost_of(method: Branches, config: PathConfig, wanted: GradientRequest) -> float:
     """Return the time of a sample over that of replay."""
-    shapes_cost = WEIGHTS_COST if mixed_values(config, drawn_by_choice(config, wanted)) else SHAPES_COST
+    shapes_cost = WEIGHTS_COST if mixed_values(config.surfaces, drawn_by_choice(config, wanted)) else SHAPES_COST
     cost = shapes_cost[method.shapes] if method.shapes else 0.0
     cost += NORMALS_COST[method.normals] if method.normals else 0.0
     return cost + float(is_asked(rest_of(method, config, wanted)))
@@ -178,11 +178,15 @@ def describe(
     owns = {
         "shapes": {
             MATERIAL + s.name
-            for s, b in zip(config.material, branched_values(config, drawn_by_choice(config, wanted)), strict=True)
+            for s, b in zip(
+                config.surfaces.material, branched_values(config.surfaces, drawn_by_choice(config, wanted)), strict=True
+            )
             if b
         },
         "normals": {
-            MATERIAL + s.name for s, t in zip(config.material, tilting_values(config, wanted), strict=True) if t
+            MATERIAL + s.name
+            for s, t in zip(config.surfaces.material, tilting_values(config.surfaces, wanted), strict=True)
+            if t
         }
         | TURNING,
     }

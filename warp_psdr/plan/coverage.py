@@ -74,7 +74,7 @@ def _metered(scene: Scene, config: PathConfig, max_depth: int) -> str:
     """
     if config.camera != c.CAMERA_RADIANCEMETER or max_depth == 2:
         return ""
-    if set(config.lights) & c.DELTA_LIGHTS:
+    if set(config.lights.others) & c.DELTA_LIGHTS:
         return "before a radiancemeter, hard shadows are not covered beyond max_depth=2; use a narrow camera"
     if len(scene_curves(scene).length):
         return "before a radiancemeter, shapes that run through each other are not covered; use a narrow camera"
@@ -108,7 +108,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
     if config.shown:  # of what lights, materials and textures do nothing is seen
         return _in_many_faces(scene, names)
     # Beside media no mirror or glass is, and null lobes turn no ray (``plan/media.py``).
-    if has_delta_lobes(config.bsdfs) and config.media is None:
+    if has_delta_lobes(config.surfaces.bsdfs) and config.media is None:
         if not 0 < max_depth <= MAX_DEPTH:
             return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
         crowded = [
@@ -171,7 +171,7 @@ def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry
     first = scene.description.shapes[min(bumped)].path
     if moves.camera:
         return f"the camera moves before the bump map of {first!r}"
-    if has_delta_lobes(config.bsdfs):
+    if has_delta_lobes(config.surfaces.bsdfs):
         return f"things move in smooth mirrors or glass, in which the bump map of {first!r} may be seen"
     for name in names:
         parameter = scene.parameters[name]
@@ -191,7 +191,7 @@ def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
     if config.material_first or not any(has_steps(t) for t in b.textures):
         return ""
     carriers = {i for i, shape in enumerate(b.shapes) if any(has_steps(t) for t in b.textures_of(shape))}
-    if has_delta_lobes(config.bsdfs) and carriers:
+    if has_delta_lobes(config.surfaces.bsdfs) and carriers:
         return "smooth mirrors or glass show a texture with steps"
     seen = sorted(carriers if moves.camera else carriers & moves.shapes)
     if not seen:

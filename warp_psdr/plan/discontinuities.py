@@ -48,7 +48,7 @@ class Asked:
     @property
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
-        return has_smooth_lobes(self.config.bsdfs)
+        return has_smooth_lobes(self.config.surfaces.bsdfs)
 
     @property
     def meets_light(self) -> bool:
@@ -125,7 +125,9 @@ GEOMETRIC_HORIZON = Discontinuity(
 )
 INTERSECTION_CURVE = Discontinuity(
     knows=words("material_points", "slides"),
-    applies=lambda asked: asked.lit and (asked.max_depth != 2 or bool(asked.config.area)) and asked.scatters_smoothly,
+    applies=lambda asked: (
+        asked.lit and (asked.max_depth != 2 or bool(asked.config.lights.area)) and asked.scatters_smoothly
+    ),
     find=_pierced,
     instead="move them apart",
 )

@@ -149,7 +149,7 @@ def _refused_by_ratio_tracking(config: PathConfig, wanted: GradientRequest) -> s
 
 def _roughnesses(config: PathConfig, wanted: GradientRequest) -> tuple[bool, ...]:
     """Return which of the requested material values directions move with."""
-    return tuple(w and slot.name in MOVED_BY for slot, w in zip(config.material, wanted.material, strict=True))
+    return tuple(w and slot.name in MOVED_BY for slot, w in zip(config.surfaces.material, wanted.material, strict=True))
 
 
 def _keep_attached(method: interior.Method, max_depth: int, rr_depth: int) -> Kept:

@@ -101,7 +101,7 @@ def passes(
             requested moves vertices in a way that is not differentiated.
     """
     max_depth = integrator.max_depth
-    joins = config.scatter and samples_lights(config)
+    joins = config.scatter and samples_lights(config.lights, config.surfaces.bsdfs)
     if isinstance(method, interior.Bidirectional):
         if not joins:
             return LightTracing(method, config, config, wanted, joins)
@@ -120,13 +120,14 @@ def passes(
         refused = refused_while_vertices_move(scene, config, wanted, integrator, names)
         if refused:
             raise ValueError(f"interior.LightTracing() {refused}")
-    if config.scatter and has_delta_lobes(config.bsdfs):
+    if config.scatter and has_delta_lobes(config.surfaces.bsdfs):
         return LightTracing(method, config, replace(config, delta_first=True), wanted, joins, moves=moves)
-    camera = replace(config, scatter=False, bsdfs=("diffuse",), material=(), tangent=False, through=False)
+    surfaces = replace(config.surfaces, bsdfs=("diffuse",), material=(), tangent=False)
+    camera = replace(config, scatter=False, surfaces=surfaces, through=False)
     if wanted is not None:
-        environment = {EMITTER_CONSTANT, EMITTER_ENVMAP} & set(config.lights)
-        of_lights = (config.area and (wanted.radiance or wanted.to_uv)) or (environment and wanted.lights)
-        seen = of_lights or (wanted.geometry and (config.area or environment))
+        environment = {EMITTER_CONSTANT, EMITTER_ENVMAP} & set(config.lights.others)
+        of_lights = (config.lights.area and (wanted.radiance or wanted.to_uv)) or (environment and wanted.lights)
+        seen = of_lights or (wanted.geometry and (config.lights.area or environment))
         wanted = replace(wanted, material=()) if seen else None
     return LightTracing(method, config, camera, wanted, joins, moves=moves)
 
@@ -183,8 +184,8 @@ def left_out(config: PathConfig) -> list[tuple[str, str, str]]:
 
 def has_caustics(config: PathConfig) -> bool:
     """Whether mirrors or glass may turn light of lights of no area."""
-    turns = any(model.mirrors or LOBE_DELTA_TRANSMISSION in model.lobes for model in models_of(config.bsdfs))
-    return turns and bool(DELTA_LIGHTS & set(config.lights))
+    turns = any(model.mirrors or LOBE_DELTA_TRANSMISSION in model.lobes for model in models_of(config.surfaces.bsdfs))
+    return turns and bool(DELTA_LIGHTS & set(config.lights.others))
 
 
 def joined(
@@ -214,7 +215,7 @@ def joined(
             cannot join.
     """
     reason = unknown(interior.LightTracing(), needed, ())
-    if not reason and not has_smooth_lobes(config.bsdfs):
+    if not reason and not has_smooth_lobes(config.surfaces.bsdfs):
         reason = "finds no surface that scatters light towards the camera but by mirrors and glass"
     if integrator.caustics is True and reason:
         raise ValueError(f"caustics=True: light tracing {reason}; or say caustics=False")

@@ -91,13 +91,13 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
     if wanted.bends:
         return "turned rays are not followed through media; request coefficients of media, reflectances or radiances"
-    turning = [model.plugin for model in models_of(config.bsdfs) if model.has_delta and model is not NULL]
+    turning = [model.plugin for model in models_of(config.surfaces.bsdfs) if model.has_delta and model is not NULL]
     if turning:
         return (
             f"what moves beside media is not followed through {turning[0]!r}; make mirrors and glass rough, and use "
             "meshes with holes in place of masks and thin glass"
         )
-    if c.EMITTER_DIRECTIONAL_AREA in config.lights:
+    if c.EMITTER_DIRECTIONAL_AREA in config.lights.others:
         return "what moves is not followed to a 'directionalarea' beside media; use a 'directional' or an 'area' light"
     for shape in scene.description.shapes:
         if shape.emitter is not None and any(model_of(side) is NULL for side in shape.bsdf.sides):

@@ -65,7 +65,11 @@ def moves_in_media(wanted: GradientRequest) -> bool:
 
 def moves_vertices(config: PathConfig, wanted: GradientRequest) -> bool:
     """Whether vertices of paths move: by geometry, or by a light of no area whose rays mirrors and glass turn."""
-    turned = "pose" in wanted.lights and c.DELTA_LIGHTS & set(config.lights) and has_delta_lobes(config.bsdfs)
+    turned = (
+        "pose" in wanted.lights
+        and c.DELTA_LIGHTS & set(config.lights.others)
+        and has_delta_lobes(config.surfaces.bsdfs)
+    )
     return wanted.geometry or bool(turned)
 
 

@@ -37,12 +37,12 @@ def has_steps(texture: Texture) -> bool:
 
 def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> dict[str, Word]:
     """Return the words that a scene and a request have, in the order in which errors look at them."""
-    media, lights = config.media, {*config.lights, *([c.EMITTER_AREA] if config.area else [])}
+    media, lights = config.media, {*config.lights.others, *([c.EMITTER_AREA] if config.lights.area else [])}
     phases = set(media.phases) if media is not None else set()
-    delta = media is None and has_delta_lobes(config.bsdfs)  # beside media ``plan/media.py`` looks at lobes
+    delta = media is None and has_delta_lobes(config.surfaces.bsdfs)  # beside media ``plan/media.py`` looks at lobes
     geometry, textures = wanted is not None and wanted.geometry, [] if config.shown else scene.builder.textures
     moving_media = media is not None and wanted is not None and moves_in_media(wanted)
-    rough, solids = passing(config.bsdfs), primitives.words(scene)
+    rough, solids = passing(config.surfaces.bsdfs), primitives.words(scene)
     told = {
         **solids,
         "rough_glass": Word(f"the smooth lobe behind the surface of a {rough!r}", WORDS["rough_glass"].instead),
@@ -57,20 +57,20 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         "material_points": "material_points" in solids,
         "slides": "slides" in solids,
         "moving_slides": "slides" in solids and geometry,
-        "shining": bool(config.shining),
+        "shining": bool(config.lights.shining),
         "transient": bool(config.pulse),
         "far_lights": bool(lights & {c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, *_FAR}),
-        "null": delta and has_null_lobes(config.bsdfs),
+        "null": delta and has_null_lobes(config.surfaces.bsdfs),
         "mirrors": delta,
         "moving_mirrors": delta and geometry,
         "moving_vertices": wanted is not None and moves_vertices(config, wanted),
         "rough_glass": bool(rough),
-        "turned_normals": any(model.framed for model in models_of(config.bsdfs)),
-        "vertex_normals": config.smooth and not scene.shades_flat,
+        "turned_normals": any(model.framed for model in models_of(config.surfaces.bsdfs)),
+        "vertex_normals": config.surfaces.smooth and not scene.shades_flat,
         "steps": any(has_steps(t) or t.kind == c.TEXTURE_FACE for t in textures),
         "point_lights": config.scatter and bool(lights & c.DELTA_LIGHTS),
-        "hide_emitters": config.hide_emitters,
-        "hidden_lights": config.hidden,
+        "hide_emitters": config.lights.hide_emitters,
+        "hidden_lights": config.rays.hidden,
         "material_first": config.material_first,
         **{name: CAMERA_NAMES[config.camera] == name for name in CAMERA_NAMES.values() if name in WORDS},
     }

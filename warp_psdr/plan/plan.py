@@ -13,7 +13,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, SurfaceConfig
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
@@ -124,7 +124,7 @@ def decide(
     names = _named(scene, params, names)
     lines: list[tuple[str, str, str]] = []
     config = _config(scene, integrator, sensor, lines)
-    if config.hidden:
+    if config.rays.hidden:
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
     lines += media.describe(scene, config, wanted)
@@ -141,27 +141,35 @@ def decide(
         reason = "" if config.shown else sliding_heights(scene, config, names, wanted.geometry)
         if reason:
             raise ValueError(f"{reason}, and the slopes of a bump map jump at its texels: {HOLD_STILL}")
-        if any(model.framed for model in models_of(config.bsdfs)):
+        if any(model.framed for model in models_of(config.surfaces.bsdfs)):
             lines.append(("turned normals", "as they are seen", FLIPPED))
     moving = tuple(_discontinuities(scene, config, names))
     if wanted is not None:
-        asked = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
+        asked = [slot.name for slot, w in zip(config.surfaces.material, wanted.material, strict=True) if w]
         if any(name.rsplit("_", 1)[-1] == "opacity" for name in asked):
-            config = replace(config, bsdfs=tuple(map(explored, config.bsdfs)))
+            config = replace(
+                config, surfaces=replace(config.surfaces, bsdfs=tuple(map(explored, config.surfaces.bsdfs)))
+            )
     if config.through and config.media is None and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
         _check_lights(scene, names)
         config = replace(config, through=False)
-    if has_null_lobes(config.bsdfs):
+    if has_null_lobes(config.surfaces.bsdfs):
         said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", "vertices move")
         lines.append(("shadow rays", *said))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
-    if still and not config.shown and config.smooth and scene.shades_flat:
-        config = replace(config, smooth=False, flat=True)
+    if still and not config.shown and config.surfaces.smooth and scene.shades_flat:
+        config = replace(config, surfaces=replace(config.surfaces, smooth=False, flat=True))
         lines.append(("interpolated normals", "not read", "they are those of the triangles"))
-    if wanted is not None and isinstance(method, interior.Replay) and method.flow == "normal" and config.primitives:
+    if (
+        wanted is not None
+        and isinstance(method, interior.Replay)
+        and method.flow == "normal"
+        and config.surfaces.primitives
+    ):
         primitives.refuse_flow(scene, config)
-        config = replace(config, primitives=(*config.primitives, c.NORMAL_FLOW))
+        kinds = (*config.surfaces.primitives, c.NORMAL_FLOW)
+        config = replace(config, surfaces=replace(config.surfaces, primitives=kinds))
         lines.append(("vertices", "flow along normals", "of smooth grids and networks"))
     if isinstance(method, interior.FilmAntithetic) and wanted is not None:
         config = replace(config, material_first=True)
@@ -254,7 +262,7 @@ def _boundary(
         lines.append(
             ("boundary term", "in media: volume vertices ride as fractions of rays", "interfaces are no edges")
         )
-    elif has_delta_lobes(config.bsdfs):
+    elif has_delta_lobes(config.surfaces.bsdfs):
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
     return term, lines
@@ -319,7 +327,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     lines += transient.describe(times)
     lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))
     lines.append(("ray queries", scene.accelerator.backend, f"{scene.accelerator.width} lanes"))
-    return PathConfig(
+    surfaces = SurfaceConfig(
         bsdfs=models,
         material=material,
         two_sided=bool(b.two_sided),
@@ -327,21 +335,26 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         flat=flat,
         uv=uv,
         tangent=bool(b.anisotropic) and scatter,
+        primitives=primitives.kinds(scene),
+    )
+    lit = LightConfig(
         area=area,
-        lights=lights,
+        others=lights,
         one_light=len(b.emitters) == 1,
-        scatter=scatter,
         hide_emitters=integrator.hide_emitters,
-        hidden=integrator.hide_emitters and bool(area),
+        shining=primitives.shining(scene),
+    )
+    hidden = integrator.hide_emitters and bool(area)
+    return PathConfig(
+        surfaces=surfaces,
+        lights=lit,
+        rays=RayConfig(scene.accelerator.backend, scene.accelerator.width, hidden),
+        scatter=scatter,
         sampler=sampler,
         filter=camera.filter,
-        ray_backend=scene.accelerator.backend,
-        ray_width=scene.accelerator.width,
         camera=camera.kind,
         through=scatter and has_null_lobes(models),
         media=None if integrator.shown else b.media_config,
-        primitives=primitives.kinds(scene),
-        shining=primitives.shining(scene),
         pulse=transient.pulse_of(times),
         shown=integrator.shown,
     )
@@ -375,7 +388,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
     if has(LIGHT_POSE):
         lights.append("pose")
     wanted = GradientRequest(
-        material=tuple(has(MATERIAL + slot.name) for slot in config.material),
+        material=tuple(has(MATERIAL + slot.name) for slot in config.surfaces.material),
         to_uv=has(TO_UV),
         shapes=has(POSITIONS, NORMALS, SHAPE_GRID, SHAPE_POSE),
         texcoords=has(TEXCOORDS),
@@ -386,7 +399,7 @@ def _wanted(scene: Scene, config: PathConfig, names: list[str], lines: list) -> 
         media=tuple(kind for kind in media.PARAMETERS if has(MEDIUM + kind)),
     )
     lines.append(("differentiated", ", ".join(names), "requested"))
-    on = [slot.name for slot, w in zip(config.material, wanted.material, strict=True) if w]
+    on = [slot.name for slot, w in zip(config.surfaces.material, wanted.material, strict=True) if w]
     lines.append(("material derivatives", ", ".join(on) or "none", "values that hold a requested parameter"))
     geometry = (
         "positions, normals and chains through mirrors and glass are differentiated"
@@ -433,7 +446,7 @@ def _bending(scene: Scene, names: list[str]) -> dict[str, str]:
 def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list[str]:
     """Say which requested parameters move a discontinuity of the integrand, and which one."""
     reasons = []
-    delta = has_delta_lobes(config.bsdfs)
+    delta = has_delta_lobes(config.surfaces.bsdfs)
     lights = _moving_lights(scene)
     for name in names:
         uses = scene.parameters[name].uses
@@ -443,7 +456,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             continue
         if uses & {POSITIONS, SHAPE_GRID, SHAPE_POSE}:
             reasons.append(f"{name} moves silhouettes and shadows")
-        elif CAMERA in uses and (scene.face_count or config.primitives):
+        elif CAMERA in uses and (scene.face_count or config.surfaces.primitives):
             reasons.append(f"{name} moves the silhouettes that the camera sees")
         elif name in lights:
             reasons.append(f"{name} moves {lights[name]}")

@@ -71,7 +71,7 @@ def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, name
     moves = motion(scene, names)
     moved, joined = None if moves.camera else moves.shapes, joined_rims(scene)
     bared, rims = (next(iter(pairs), None) for pairs in (joined.bared, joined.pairs))
-    rims, hidden = rims if has_delta_lobes(config.bsdfs) else None, integrator.hide_emitters
+    rims, hidden = rims if has_delta_lobes(config.surfaces.bsdfs) else None, integrator.hide_emitters
     return (
         _told(scene, bared, "{a} lies in the surface of {b}, which closes the cylinder by itself; leave it out")
         or _told(
@@ -117,10 +117,10 @@ def _of_mirrors(scene: Scene) -> str:
 def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
     """Say what shapes without triangles keep the boundary term from being estimated; empty: nothing."""
     moves_rays = isinstance(integrator.boundary, Reparametrised)
-    resting = has_sliding(config.primitives)
-    if not config.primitives or (resting and moves_rays):  # ``plan/reparametrised.py`` says what these do
+    resting = has_sliding(config.surfaces.primitives)
+    if not config.surfaces.primitives or (resting and moves_rays):  # ``plan/reparametrised.py`` says what these do
         return ""
-    reason = _of_mirrors(scene) if has_delta_lobes(config.bsdfs) and not moves_rays else ""
+    reason = _of_mirrors(scene) if has_delta_lobes(config.surfaces.bsdfs) and not moves_rays else ""
     if reason or not resting:
         return reason or _of_exact(scene, config, integrator, names)
     shapes = scene.description.shapes
@@ -135,7 +135,7 @@ def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
         if kept(scene, ("open network", i), functools.partial(_is_open, scene, i)):
             opened = f"the surface of {shapes[i].path!r} may end at its box, along a curve that moves"
             return f"{opened}; keep phi positive all around"
-        if set(config.primitives) & set(CURVES):
+        if set(config.surfaces.primitives) & set(CURVES):
             return f"beside {shapes[i].path!r} curves have no boundary term; leave them out"
     moves = motion(scene, names)
     moved = None if moves.camera else moves.shapes
@@ -161,7 +161,7 @@ def refuse_flow(scene: Scene, config: PathConfig) -> None:
         ValueError: with the shape, and what to do.
     """
     instead = "say interior.Replay(flow='ray')"
-    if has_delta_lobes(config.bsdfs):
+    if has_delta_lobes(config.surfaces.bsdfs):
         raise ValueError(f"vertices that flow along normals have no terms beside smooth mirrors and glass; {instead}")
     for i in scene.builder.primitives:
         s = scene.description.shapes[i]

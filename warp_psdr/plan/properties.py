@@ -46,7 +46,7 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
             f"AovIntegrator: {absent[0]} moves a surface that is not there ('null'), which images of properties show; "
             "leave it out of the request, or give the shape another bsdf"
         )
-    if config.shown == "sh_normal" and config.primitives:
+    if config.shown == "sh_normal" and config.surfaces.primitives:
         raise ValueError(
             "AovIntegrator(aov='sh_normal'): derivatives of normals are those of meshes; leave out 'exact', or take "
             "'mask', 'depth' or 'position', which shapes without triangles have, too"

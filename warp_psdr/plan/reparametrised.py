@@ -203,7 +203,7 @@ def _of_film(scene: Scene, config: PathConfig, sensor: int) -> str:
     if not scene.face_count:
         return ""
     shapes = set(range(len(scene.builder.shapes)))
-    found = film_edges(scene, sensor, shapes, camera_moves=True, hide_emitters=config.hidden)
+    found = film_edges(scene, sensor, shapes, camera_moves=True, hide_emitters=config.rays.hidden)
     seen = np.append(found.others.keep, found.flat_creases.keep)
     if len(seen):
         edges = found.edges

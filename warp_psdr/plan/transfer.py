@@ -30,9 +30,9 @@ def refused_by_transfer(config: PathConfig, wanted: GradientRequest) -> str:
         return f"{NAME} is for scenes with participating media; use interior.Replay() and a method of psdr.boundary"
     if not moves_in_media(wanted):
         return ""
-    if config.hidden:
+    if config.rays.hidden:
         return f"{NAME} does not know hide_emitters where something moves; show the lights"
-    kinds = {kind for slot in config.material for kind in slot.kinds} | set(config.area)
+    kinds = {kind for slot in config.surfaces.material for kind in slot.kinds} | set(config.lights.area)
     if wanted.texcoords or kinds - {c.TEXTURE_CONSTANT}:
         return f"{NAME} lets points slide over what moves, and textures would; give constant values"
     return ""

@@ -86,6 +86,6 @@ def refused(config: PathConfig, integrator: PathIntegrator, wanted: GradientRequ
             "path lengths change, and without a pulse light jumps from bin to bin, which has a boundary term of its "
             "own; give the film a pulse_width_opl of more than 0"
         )
-    if moves and has_sliding(config.primitives):
+    if moves and has_sliding(config.surfaces.primitives):
         return "points of grids, networks and curves slide along rays, whose lengths are not differentiated; use meshes"
     return ""

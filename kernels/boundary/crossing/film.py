@@ -43,12 +43,12 @@ def same_shape(scene: Scene, face: wp.int32, other: wp.int32) -> wp.bool:
 @functools.cache
 def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    crossing_point = make_crossing_point(config.primitives)
-    accumulate_crossing = make_crossing_sink(role, config.primitives)
+    crossing_point = make_crossing_point(config.surfaces.primitives)
+    accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
-    hidden = make_hidden(config)
-    shows = make_shows(config.primitives)
+    hidden = make_hidden(config.rays, config.surfaces.primitives)
+    shows = make_shows(config.surfaces.primitives)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)

@@ -51,15 +51,15 @@ from warp_psdr.kernels.visibility import visibility_of
 @functools.cache
 def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    crossing_point = make_crossing_point(config.primitives)
-    accumulate_crossing = make_crossing_sink(role, config.primitives)
-    accumulate_source = make_source_sink(role, False, config.primitives)
-    coordinates = make_coordinates(config.primitives)
-    slides = has_sliding(config.primitives)
-    visibility = visibility_of(config)
-    shows = make_shows(config.primitives)
-    sees = make_sees(config)
-    sensor_end = make_sensor_end(config)
+    crossing_point = make_crossing_point(config.surfaces.primitives)
+    accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
+    accumulate_source = make_source_sink(role, False, config.surfaces.primitives)
+    coordinates = make_coordinates(config.surfaces.primitives)
+    slides = has_sliding(config.surfaces.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    shows = make_shows(config.surfaces.primitives)
+    sees = make_sees(config.rays, config.surfaces.primitives)
+    sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
     source = make_source(config)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)

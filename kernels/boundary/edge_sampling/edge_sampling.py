@@ -52,9 +52,9 @@ def make_edge_sample(config: PathConfig, tree: bool, candidates: int):
 
     ``d`` is the direction of the ray that found the vertex; ``last``: only a light may follow.
     """
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    surface_lobes, _volume_lobes = make_vertex_lobes(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
+    surface_lobes, _volume_lobes = make_vertex_lobes(config.surfaces, config.lights)
     draw_edge = make_drawn_edge(tree, candidates)
 
     @wp.func

@@ -13,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.constants import INV_FOUR_PI, INV_PI
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.math import any_tangent, reflect_local
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 #: Arcs (radians) below it are integrated with Gauss' rule of three nodes: a relative error below 1e-7.
 SHORT_ARC = 0.3
@@ -290,14 +290,14 @@ def sample_mixture(lobes: Lobes, a: wp.vec3, along: wp.vec3, u: wp.vec2) -> wp.f
 
 
 @functools.cache
-def make_scattering_lobes(config: PathConfig):
+def make_scattering_lobes(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``scattering_lobes(at) -> Lobes`` for an interaction.
 
     The cosine lobe is positive wherever a model is that scatters on its own side only. A rough conductor's lobe lies
     about the mirror direction: a microfacet's slope alpha turns the reflection by 2 alpha in the plane of incidence,
     and by 2 alpha cos(theta_i) across it.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record, slopes = interaction.record, interaction.bsdf.slopes
 
     @wp.func

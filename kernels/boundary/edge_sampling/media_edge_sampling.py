@@ -78,7 +78,7 @@ def make_viewing_vertex(walk: PathConfig):
     Interfaces are passed; the vertex is not alive if the path has ended.
     """
     media_step = make_media_step(walk, False)
-    position, _cross_of = make_position(walk.primitives)
+    position, _cross_of = make_position(walk.surfaces.primitives)
 
     @wp.func
     def next_vertex(
@@ -129,12 +129,12 @@ def make_media_edge(config: PathConfig, tree: bool, candidates: int, traces: boo
     from more than what is at the segment's end. The value is 0 where there is no segment.
     """
     assert config.media is not None
-    interaction = make_interaction(config)
-    surface_lobes, volume_lobes = make_vertex_lobes(config)
+    interaction = make_interaction(config.surfaces, config.lights)
+    surface_lobes, volume_lobes = make_vertex_lobes(config.surfaces, config.lights)
     draw_edge = make_drawn_edge(tree, candidates)
     phase = make_phase(config.media.phases)
     line, _medium_at = make_line(config)
-    end_radiance = make_end_radiance(config)
+    end_radiance = make_end_radiance(config.lights)
     media_incident = make_media_incident(config) if traces else None
     emissive = config.media.emissive
     scatters = interaction.eval is not None

@@ -16,7 +16,7 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
 #: Share of the light's lobe in the mixture: half [LADL18], more where only a light itself can be the background.
 LIGHT_SHARE, LIGHT_SHARE_LAST = 0.5, 0.8
@@ -27,16 +27,16 @@ MIN_LIGHT_SCALE, MAX_LIGHT_SCALE = 0.01, 1.0
 
 
 @functools.cache
-def make_vertex_lobes(config: PathConfig):
+def make_vertex_lobes(surfaces: SurfaceConfig, lights: LightConfig):
     """Return ``(surface_lobes, volume_lobes)``.
 
     ``surface_lobes(scene, at, u4, last) -> Lobes`` of an interaction, ``volume_lobes(scene, x, u4, last) -> Lobes`` of
     a point in a medium. ``u4`` draws the light, ``last``: only a light may follow.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(surfaces, lights)
     record, slopes = interaction.record, interaction.bsdf.slopes
-    scattering_lobes = make_scattering_lobes(config) if interaction.eval is not None else None
-    sample_light = make_light_sampler(config) if config.area or config.lights else None
+    scattering_lobes = make_scattering_lobes(surfaces, lights) if interaction.eval is not None else None
+    sample_light = make_light_sampler(lights) if lights.area or lights.others else None
 
     @wp.func
     def light_lobe(scene: Scene, x: wp.vec3, u4: wp.vec4, last: wp.bool) -> Lobe:

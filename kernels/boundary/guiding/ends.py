@@ -24,8 +24,8 @@ from warp_psdr.kernels.vertex import PathConfig
 def make_ends_kernel(config: PathConfig):
     """Return the kernel: one thread a point of the cube; a scale of 0 says that no boundary segment is there."""
     segment_at = make_segment(config)
-    point_at = make_point_at(config.primitives)
-    _sample, density, place = make_techniques(config, False)
+    point_at = make_point_at(config.surfaces.primitives)
+    _sample, density, place = make_techniques(config.lights, False)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def ends(

@@ -9,18 +9,18 @@ from warp_psdr.kernels.boundary.local_form import Edges, edge_at, facing_side
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig
 
 
 @functools.cache
-def make_facing_kernel(config: PathConfig):
+def make_facing_kernel(lights: LightConfig):
     """Return the kernel: one thread an edge; points (u_1, u_2) of the lights are the same for all edges.
 
     At an area light of triangles each point stands for its triangle, whose share is exact. The result is the root mean
     square over the points: with uniform coordinates the integrand is proportional to the share, and cells follow its
     second moment.
     """
-    aim, _coordinates = make_light_square(config)
+    aim, _coordinates = make_light_square(lights)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def facing(

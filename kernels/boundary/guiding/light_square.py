@@ -23,7 +23,7 @@ from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.sampling import sphere_to_square
 from warp_psdr.kernels.structs import Emitter, Scene
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig
 
 
 @wp.func
@@ -65,7 +65,7 @@ def envmap_to_square(scene: Scene, emitter: Emitter, w: wp.vec3) -> wp.vec2:
 
 
 @functools.cache
-def make_light_square(config: PathConfig):
+def make_light_square(lights: LightConfig):
     """Return ``(aim, coordinates)``.
 
     ``aim(scene, edges, point, u1, u2) -> Direction``: from an edge point to the light point of the coordinates.
@@ -73,12 +73,12 @@ def make_light_square(config: PathConfig):
     face < 0 of the direction w towards the environment; negative: no light is there. The third entry is the share of
     the light's triangle from which the point was drawn.
     """
-    has_area = bool(config.area)
-    exact = make_shining(config.shining)
-    other = make_lights(config.lights, None, ()).sample if config.lights else None
+    has_area = bool(lights.area)
+    exact = make_shining(lights.shining)
+    other = make_lights(lights.others, None, ()).sample if lights.others else None
     has_other = other is not None
-    constant = EMITTER_CONSTANT in config.lights
-    envmap = EMITTER_ENVMAP in config.lights
+    constant = EMITTER_CONSTANT in lights.others
+    envmap = EMITTER_ENVMAP in lights.others
 
     @wp.func
     def aim(scene: Scene, edges: Edges, point: EdgePoint, u1: wp.float64, u2: wp.float64) -> Direction:

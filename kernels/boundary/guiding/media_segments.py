@@ -38,10 +38,10 @@ def make_media_blocked_light(config: PathConfig):
     The transmittance up to what hides it weighs, that of grids aside.
     """
     assert config.media is not None
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     phase = make_phase(config.media.phases)
     line, _medium_at = make_line(config)
-    sample_light = make_light_sampler(config)
+    sample_light = make_light_sampler(config.lights)
 
     @wp.func
     def blocked_light(scene: Scene, sampler: Sampler, step: MediaVertex, radius: wp.float32, u4: wp.vec4) -> Candidate:

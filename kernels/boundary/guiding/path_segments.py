@@ -65,9 +65,9 @@ def with_light(
 @functools.cache
 def make_blocked_light(config: PathConfig):
     """Return ``blocked_light(scene, vertex, radius, u4) -> Candidate``: a light point that something hides from x_1."""
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    sample_light = make_light_sampler(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
+    sample_light = make_light_sampler(config.lights)
 
     @wp.func
     def blocked_light(scene: Scene, vertex: PathVertex, radius: wp.float32, u4: wp.vec4) -> Candidate:
@@ -108,7 +108,7 @@ def make_candidate(config: PathConfig, kind: int):
 
     Of the segments of a camera path, and the sum of all their weights (arguments as in ``make_seeds_kernel``).
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     path_step = make_path_step(config, False)
     start = make_camera_start(config)
     to_light = kind == BLOCKED_LIGHT

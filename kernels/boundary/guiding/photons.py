@@ -28,7 +28,7 @@ from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, square_to_di
 from warp_psdr.kernels.scattering import make_light_sampler
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of a light path: source, position or direction, then one per vertex.
@@ -45,12 +45,12 @@ class Emission:
 
 
 @functools.cache
-def make_photon_emission(config: PathConfig):
+def make_photon_emission(lights: LightConfig, primitives: tuple[int, ...]):
     """Return ``emit(scene, center, radius, u4, u2) -> Emission``; the sphere holds the scene."""
-    sample_light = make_light_sampler(config)
-    exact = make_shining(config.shining)
-    emitted = make_area(config.area, config.shining).emitted if config.area else None
-    step_off = make_leaving(config.primitives)
+    sample_light = make_light_sampler(lights)
+    exact = make_shining(lights.shining)
+    emitted = make_area(lights.area, lights.shining).emitted if lights.area else None
+    step_off = make_leaving(primitives)
 
     @wp.func
     def emit(scene: Scene, center: wp.vec3, radius: wp.float32, u4: wp.vec4, u2: wp.vec2) -> Emission:
@@ -97,9 +97,9 @@ def make_photon_emission(config: PathConfig):
 @functools.cache
 def make_photons_kernel(config: PathConfig):
     """Return the kernel: one thread a light path; it writes up to ``x_out.shape[1]`` photons, the others stay 0."""
-    visibility = visibility_of(config)
-    emit = make_photon_emission(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    emit = make_photon_emission(config.lights, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     draw = make_sampler(config.sampler)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d

@@ -30,7 +30,7 @@ from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.rng import make_sampler
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig
 from warp_psdr.kernels.visibility import make_visibility, visibility_of
 
 #: Most triangles that one walk crosses [ZRJ23].
@@ -195,9 +195,9 @@ def wedge_seed(scene: Scene, edges: Edges, found: Silhouette) -> wp.vec3d:
 
 
 @functools.cache
-def make_light_seed(config: PathConfig):
+def make_light_seed(lights: LightConfig):
     """Return ``light_seed(scene, edges, found, candidate, u) -> vec3d``: coordinates in the cube of the lights."""
-    _aim, light_coordinates = make_light_square(config)
+    _aim, light_coordinates = make_light_square(lights)
 
     @wp.func
     def light_seed(scene: Scene, edges: Edges, found: Silhouette, from_x: Candidate, u: wp.float32) -> wp.vec3d:
@@ -222,15 +222,15 @@ def make_seeds_kernel(config: PathConfig, kind: int):
         kind: BLOCKED_LIGHT or SCATTERED, the rays that are projected. The former makes seeds of both techniques, the
             latter of the wedge alone.
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     among_media = config.media is not None
     candidate = (make_media_candidate if among_media else make_candidate)(config, kind)
     line = make_line(config)[0] if among_media else None
-    to_silhouette = make_edge_projection(config.ray_backend, config.ray_width)
+    to_silhouette = make_edge_projection(config.rays.backend, config.rays.width)
     to_light = kind == BLOCKED_LIGHT
-    light_seed = make_light_seed(config) if to_light else None
+    light_seed = make_light_seed(config.lights) if to_light else None
     sample_1d = make_sampler(config.sampler).sample_1d
-    has_primitives = bool(config.primitives)
+    has_primitives = bool(config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def seeds(

@@ -125,12 +125,12 @@ def make_own_numbers(primitives: tuple[int, ...]):
 @functools.cache
 def make_exact_seeds_kernel(config: PathConfig, kind: int):
     """Return the kernel: one thread a camera path and its seed (``kind`` as in ``projective.py``)."""
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     candidate = make_candidate(config, kind)
-    project = make_outline_projection(config.primitives)
-    own_numbers = make_own_numbers(config.primitives)
+    project = make_outline_projection(config.surfaces.primitives)
+    own_numbers = make_own_numbers(config.surfaces.primitives)
     to_light = kind == BLOCKED_LIGHT
-    aim_square = make_aim_square(config) if to_light else None
+    aim_square = make_aim_square(config.lights) if to_light else None
     sample_1d = make_sampler(config.sampler).sample_1d
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())

@@ -24,7 +24,7 @@ from warp_psdr.kernels.boundary.path_space.direction import (
 )
 from warp_psdr.kernels.rng import UNIT
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig
 
 
 @wp.struct
@@ -66,7 +66,7 @@ def octant_point(low: wp.vec3, high: wp.vec3, octant: wp.int32, u4: wp.vec4) -> 
 
 
 @functools.cache
-def make_techniques(config: PathConfig, guided: bool):
+def make_techniques(lights: LightConfig, guided: bool):
     """Return ``(sample, density, place)``; ``guided``: the cells are read, otherwise coordinates are uniform.
 
     ``sample(scene, edges, guide, v, u4) -> Aim``: ``v`` the stratified number, u4 further ones.
@@ -74,8 +74,8 @@ def make_techniques(config: PathConfig, guided: bool):
     its edge coordinate, relative to the edges' own density of x_b; (face, u, v) is its first hit, at the distance t.
     ``place(scene, edges, u, technique) -> Aim``: what a point of the cube stands for (1: wedge, 0: light).
     """
-    aim_light, light_coordinates = make_light_square(config)
-    pdf_light = make_pdf_light(config)
+    aim_light, light_coordinates = make_light_square(lights)
+    pdf_light = make_pdf_light(lights)
 
     @wp.func
     def place(scene: Scene, edges: Edges, u: wp.vec3d, technique: wp.int32) -> Aim:

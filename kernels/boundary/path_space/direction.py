@@ -17,7 +17,7 @@ from warp_psdr.kernels.emitter.dispatch import make_lights
 from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.primitive.shining import make_shining
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig
 
 
 @wp.struct
@@ -95,16 +95,16 @@ def wedge_square(wedge: Wedge, w: wp.vec3) -> wp.vec2:
 
 
 @functools.cache
-def make_pdf_light(config: PathConfig, uniform: bool = False):
+def make_pdf_light(lights: LightConfig, uniform: bool = False):
     """Return ``pdf_light(scene, face, u, v, w, t) -> float``: the solid-angle density of light sampling.
 
     For a direction whose first hit is (face, u, v), or none (face -1), at distance t. ``uniform`` as in
     ``make_pdf_area``.
     """
-    exact = make_shining(config.shining)
-    pdf_area = make_pdf_area(config.shining, uniform)
-    lights = make_lights(config.lights, None, ()) if config.lights else None
-    environment_pdf = lights.environment_pdf if lights else None
+    exact = make_shining(lights.shining)
+    pdf_area = make_pdf_area(lights.shining, uniform)
+    others = make_lights(lights.others, None, ()) if lights.others else None
+    environment_pdf = others.environment_pdf if others else None
     has_environment = environment_pdf is not None
 
     @wp.func
@@ -114,7 +114,7 @@ def make_pdf_light(config: PathConfig, uniform: bool = False):
             if wp.static(has_environment):
                 pdf = environment_pdf(scene, w) * scene.emitters[scene.environment].probability
         else:
-            if wp.static(bool(config.area)):
+            if wp.static(bool(lights.area)):
                 emitter = scene.shapes[scene.triangles[face].shape].emitter
                 facing = wp.dot(scene.triangles[face].normal, w)
                 if wp.static(exact is not None):

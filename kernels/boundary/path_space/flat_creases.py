@@ -62,11 +62,11 @@ def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
     """
     if config.pulse:
         return make_primary_kernel(config, role, camera_moves)
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
-    lit = bool(config.area or config.lights)
-    sample_light = make_light_sampler(config) if lit else None
+    lit = bool(config.lights.area or config.lights.others)
+    sample_light = make_light_sampler(config.lights) if lit else None
     following = make_following(config)
     find, accumulate, _accumulate_side = make_film_edge(config, role, camera_moves)
     sample_4d = make_sampler(config.sampler).sample_4d
@@ -121,7 +121,7 @@ def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
             hit = visibility.seen(scene, o, f.d, 2.0 * ahead, 0)
             seen = o + hit.t * f.d
             met = hit.face
-            if wp.static(len(config.primitives) > 0):
+            if wp.static(len(config.surfaces.primitives) > 0):
                 met = triangle_or_none(scene, met)
             if not (
                 own_face(scene, edges, f.point.edge, met) or on_planes(scene, edges, f.point, hit.face, seen, f.step)

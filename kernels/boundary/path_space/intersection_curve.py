@@ -32,7 +32,7 @@ from warp_psdr.kernels.notes import NOTE_EDGE, make_note
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of a point on the curve; those of the walk follow (``transport.py``).
@@ -42,10 +42,10 @@ OFF, MAX_SHIFT = 3.0, 100.0
 
 
 @functools.cache
-def make_curve_segment(config: PathConfig):
+def make_curve_segment(rays: RayConfig, primitives: tuple[int, ...]):
     """Return ``segment(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve."""
-    visibility = visibility_of(config)
-    sees = make_sees(config)
+    visibility = visibility_of(rays, primitives)
+    sees = make_sees(rays, primitives)
 
     @wp.func
     def segment(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
@@ -97,8 +97,8 @@ def make_curve_segment(config: PathConfig):
 @functools.cache
 def make_intersection_curve_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
-    segment_at = make_curve_segment(config)
-    accumulate_segment = make_segment_sink(role, False, config.primitives)
+    segment_at = make_curve_segment(config.rays, config.surfaces.primitives)
+    accumulate_segment = make_segment_sink(role, False, config.surfaces.primitives)
     source = make_source(config)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)

@@ -37,8 +37,8 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
     accumulate_crossing = make_interface_sink(role)
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
     is_interface, behind = make_interface(config)
-    visibility = visibility_of(config)
-    position, _cross_of = make_position(config.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    position, _cross_of = make_position(config.surfaces.primitives)
     grids = config.media is not None and config.media.grids
     _point, _depth, accumulate_ends = make_grid_span(role, grids_move) if grids else (None, None, None)
 
@@ -155,7 +155,7 @@ def make_media_ride(config: PathConfig, role: str, camera_moves: bool, grids_mov
     left for that one. The numbers are what the sinks return.
     """
     ride, ride_sight = make_ride(config, role, grids_move)
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
 
     @wp.func

@@ -57,7 +57,7 @@ def make_media_segment(config: PathConfig, deep: bool):
     assert config.media is not None
     grids = config.media.grids
     extinction_along = make_extinction_along(config.media.phases)
-    end_radiance = make_end_radiance(config)
+    end_radiance = make_end_radiance(config.lights)
 
     @wp.func
     def segment(
@@ -166,7 +166,7 @@ def make_media_secondary_kernel(
     accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
     splat, gather = make_splat()
     lens_point = make_lens(config.camera)
-    sample_aim, density, place = make_techniques(config, guided)
+    sample_aim, density, place = make_techniques(config.lights, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d

@@ -78,21 +78,21 @@ def make_media_walk(config: PathConfig):
     ``eye``: the camera's position, which flights turn to.
     """
     assert config.media is not None
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
-    is_interface, past = make_null_surface(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
     line, _medium_at = make_line(config)
-    flown = make_flown(config)
+    flown = make_flown(config.media)
     grids = config.media.grids
-    flown_in_grid = make_flown_in_grid(config) if grids else None
+    flown_in_grid = make_flown_in_grid(config.media) if grids else None
     phase = make_phase(config.media.phases)
     flakes = PHASE_SGGX in config.media.phases
     extinction_along = make_extinction_along(config.media.phases)
     sample_4d = make_sampler(config.sampler).sample_4d
     project = make_projection(config.camera)[0]
-    position, _cross_of = make_position(config.primitives)
+    position, _cross_of = make_position(config.surfaces.primitives)
     scatters = interaction.eval is not None
-    turn = make_sensor_turn(config) if scatters else None
+    turn = make_sensor_turn(config.surfaces, config.lights) if scatters else None
 
     @wp.func
     def last_point(scene: Scene, hit: RayHit, d: wp.vec3) -> wp.float32:

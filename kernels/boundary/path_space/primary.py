@@ -62,16 +62,16 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
 
     Before a transient film it is that of ``timed_primary.py``.
     """
-    surface_at = make_interaction(config).surface
+    surface_at = make_interaction(config.surfaces, config.lights).surface
     among_media = config.media is not None
     media_radiance = make_media_radiance(config) if among_media else None
     line = make_line(config)[0] if among_media else None
     incident_radiance = None if among_media else make_incident_radiance(config)
-    normal_at = make_normal_at(config.primitives)
+    normal_at = make_normal_at(config.surfaces.primitives)
     find, accumulate, accumulate_side = make_film_edge(config, role, camera_moves)
-    _own, behind = make_beside_edge(config)
-    has_delta_lights = bool(DELTA_LIGHTS & set(config.lights)) and not among_media
-    lit_along = make_lit_along(config) if has_delta_lights else None
+    _own, behind = make_beside_edge(config.shown)
+    has_delta_lights = bool(DELTA_LIGHTS & set(config.lights.others)) and not among_media
+    lit_along = make_lit_along(config.lights.others) if has_delta_lights else None
     shadow_along = make_shadow_along(config) if has_delta_lights else None
 
     @wp.func
@@ -79,7 +79,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         """Number of the shape that a ray meets, from one, negative on the back of its normals; 0: none."""
         if seen.face < 0:
             return 0
-        if wp.static(len(config.primitives) > 0):
+        if wp.static(len(config.surfaces.primitives) > 0):
             if is_primitive_at(scene, seen.face):
                 tri = scene.triangles[seen.face]
                 return wp.where(wp.dot(normal_at(scene, tri, seen.x), d) > 0.0, -1, 1) * (1 + tri.shape)
@@ -90,7 +90,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     @wp.func
     def touches(scene: Scene, point: EdgePoint, seen: IncidentRadiance, step: wp.float32) -> wp.bool:
         """Whether what a ray meets beside a point of an edge goes on to that point."""
-        if seen.face < 0 or (wp.static(len(config.primitives) > 0) and is_primitive_at(scene, seen.face)):
+        if seen.face < 0 or (wp.static(len(config.surfaces.primitives) > 0) and is_primitive_at(scene, seen.face)):
             return False
         return on_plane(scene.triangles[seen.face].normal, seen.x - point.x, step)
 
@@ -111,7 +111,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             if scene.triangles[edges.faces[i]].shape == tri.shape:
                 return OWN
-        if wp.static(len(config.primitives) > 0):
+        if wp.static(len(config.surfaces.primitives) > 0):
             if is_primitive(tri):
                 return 0
         sides = edges.sides[face]
@@ -150,7 +150,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
     ) -> wp.float32:
         """Distance at which rays have to pass an edge for what they meet, ``a`` on the side of m, to be lit as seen."""
         room = sharp_glass(scene, edges, point.edge) * local
-        hidden = wp.bool(wp.static(config.hidden))
+        hidden = wp.bool(wp.static(config.rays.hidden))
         first_face = edges.first[point.edge]
         curve = edges.ends[point.edge, 0] < 0
         if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
@@ -253,7 +253,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
                 met = seen.face
-                if wp.static(len(config.primitives) > 0):
+                if wp.static(len(config.surfaces.primitives) > 0):
                     met = triangle_or_none(scene, met)
                 its = own_face(scene, edges, point.edge, met)
                 if narrow:

@@ -62,11 +62,11 @@ def make_segment(config: PathConfig):
     What is cheap is tested first: most edges are no silhouette for most directions, and a segment between resting
     things contributes nothing. ``direct``: only what x_2 itself emits counts.
     """
-    visibility = visibility_of(config)
-    screened = make_screened(config)
-    sees = make_sees(config)
-    emitted = make_area(config.area, config.shining).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    screened = make_screened(config.rays, config.surfaces.primitives)
+    sees = make_sees(config.rays, config.surfaces.primitives)
+    emitted = make_area(config.lights.area, config.lights.shining).emitted if config.lights.area else None
+    lights = make_lights(config.lights.others, None, ()) if config.lights.others else None
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None
 
@@ -105,7 +105,9 @@ def make_segment(config: PathConfig):
             r.light = direction.light
             r.known = 1
             r.radiance = direction.irradiance
-        elif direction.aimed == 1 and (wp.static(not config.shining) or not is_primitive_at(scene, direction.face)):
+        elif direction.aimed == 1 and (
+            wp.static(not config.lights.shining) or not is_primitive_at(scene, direction.face)
+        ):
             reach = wp.float32(FAR)
             if direction.distance < 0.5 * FAR:
                 # The ray runs a step beside the line to the light point and meets the light's plane earlier or later:
@@ -122,7 +124,7 @@ def make_segment(config: PathConfig):
             r.t2 = direction.distance
         else:
             hit2 = visibility.closest(scene, r.source, r.w, FAR)
-            if wp.static(bool(config.shining)):
+            if wp.static(bool(config.lights.shining)):
                 # Of a round light the ray meets another point than the line, but no other that faces it.
                 if direction.aimed == 1 and hit2.face != direction.face:
                     return r
@@ -135,7 +137,7 @@ def make_segment(config: PathConfig):
         if r.light < 0:
             if r.face2 >= 0:
                 any_moves += moves(scene, moving, r.face2)
-                if wp.static(bool(config.area)):
+                if wp.static(bool(config.lights.area)):
                     emitter = scene.shapes[scene.triangles[r.face2].shape].emitter
                     if emitter >= 0:
                         r.radiance = emitted(scene, scene.emitters[emitter], r.face2, r.u2, r.v2, r.w)
@@ -160,7 +162,7 @@ def make_segment(config: PathConfig):
         if r.light >= 0:
             inside = point.x + (step / sine) * r.boundary_normal
             way = r.t1 - behind - step
-            if wp.static(not config.primitives) or not is_primitive_at(scene, r.face1):
+            if wp.static(not config.surfaces.primitives) or not is_primitive_at(scene, r.face1):
                 way = distance_to_plane(scene, r.face1, inside, r.w, behind)
             if screened(scene, scene.accel, edges, point, inside, r.w, way, r.face1, behind):
                 return r
@@ -272,14 +274,14 @@ def make_secondary_kernel(
     """
     evaluates = role == "target"
     segment_at = make_segment(config)
-    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose, config.primitives)
+    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose, config.surfaces.primitives)
     if config.pulse:
         slots = SLOT_EDGE, SLOT_DIRECTION
         return make_timed_secondary_kernel(config, role, camera_moves, slots, segment_at, accumulate_segment)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)
-    sample_aim, density, place = make_techniques(config, guided)
+    sample_aim, density, place = make_techniques(config.lights, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d

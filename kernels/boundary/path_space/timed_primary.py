@@ -45,8 +45,8 @@ def make_timed_primary_kernel(
     accumulate_edge = make_edge_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     _send, send_path = make_timed_light(config, role)
-    visibility = visibility_of(config)
-    point_at = make_point_at(config.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    point_at = make_point_at(config.surfaces.primitives)
 
     @wp.func
     def seen_along(scene: Scene, o: wp.vec3, d: wp.vec3, t_max: wp.float32) -> IncidentRadiance:

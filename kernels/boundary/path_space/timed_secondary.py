@@ -32,7 +32,7 @@ def make_timed_secondary_kernel(
     ``slots``: of the edge and of the direction; they and the functions are ``secondary.py``'s.
     """
     transport = make_timed_transport(config, role, camera_moves)
-    sample_aim, density, _place = make_techniques(config, False)
+    sample_aim, density, _place = make_techniques(config.lights, False)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d

@@ -19,7 +19,7 @@ from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.reading import load_float, texture_record
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Medium, Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import MediaConfig
 
 #: Least probability with which x_1 is beyond a stretch of a medium: fog in front of an edge that hides it is lit, too.
 PASSES = 1.0 / 3.0
@@ -79,11 +79,11 @@ def bell_density(b: Bell, length: wp.float32, t: wp.float32) -> wp.float32:
 
 
 @functools.cache
-def make_flown(config: PathConfig):
+def make_flown(media: MediaConfig):
     """Return ``flown(scene, m, way, d, length, open, u) -> Flown``; ``way``: from the start to the camera."""
-    assert config.media is not None
-    chromatic = config.media.chromatic
-    extinction_along = make_extinction_along(config.media.phases)
+    assert media is not None
+    chromatic = media.chromatic
+    extinction_along = make_extinction_along(media.phases)
 
     @wp.func
     def density(sigma: wp.float32, t: wp.float32, length: wp.float32, open: wp.bool) -> wp.float32:
@@ -126,14 +126,14 @@ def make_flown(config: PathConfig):
 
 
 @functools.cache
-def make_flown_in_grid(config: PathConfig):
+def make_flown_in_grid(media: MediaConfig):
     """Return ``flown_in_grid(scene, m, o, way, d, length, u, sampler, number)``.
 
     The results are the Flown, the Coefficients where it collides, and an estimate of the transmittance up to where it
     ends; ``way``: from o to the camera.
     """
-    assert config.media is not None
-    _tracked_flight, tracked_transmittance = make_tracking(config.media, False)
+    assert media is not None
+    _tracked_flight, tracked_transmittance = make_tracking(media, False)
     bins = BINS
 
     @wp.func

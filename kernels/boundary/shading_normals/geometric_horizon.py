@@ -53,12 +53,12 @@ def make_horizon_source(config: PathConfig):
 @functools.cache
 def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
     """Return the kernel: one thread a sample; arguments as those of ``make_secondary_kernel``."""
-    visibility = visibility_of(config)
-    surface_at = make_interaction(config).surface
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    surface_at = make_interaction(config.surfaces, config.lights).surface
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     source = make_indirect(make_horizon_source(config)) if indirect else make_horizon_source(config)
     transport = make_transport(config, role, camera_moves, source)
-    both = config.two_sided or bool(passing(config.bsdfs))
+    both = config.surfaces.two_sided or bool(passing(config.surfaces.bsdfs))
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d

@@ -42,10 +42,10 @@ SLOT_ITEM, SLOT_THETA = 0, 1
 @functools.cache
 def make_grid_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    visibility = visibility_of(config)
-    surface_at = make_interaction(config).surface
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    surface_at = make_interaction(config.surfaces, config.lights).surface
     accumulate_turned = make_sdfgrid_sink(role)
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     transport = make_transport(config, role, camera_moves, make_jump(config), 2)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d

@@ -42,10 +42,10 @@ from warp_psdr.kernels.visibility import visibility_of
 @functools.cache
 def make_grid_light_horizon_kernel(config: PathConfig, role: str, camera_moves: bool, light_pose: bool):
     """Return the kernel: one thread a sample; arguments as those of ``make_grid_horizon_kernel``."""
-    visibility = visibility_of(config)
-    light_aim = make_light_aim(config)
-    delta_sample = make_delta_sample(config.lights)
-    accumulate_source = make_source_sink(role, light_pose, config.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    light_aim = make_light_aim(config.lights)
+    delta_sample = make_delta_sample(config.lights.others)
+    accumulate_source = make_source_sink(role, light_pose, config.surfaces.primitives)
     transport = make_transport(config, role, camera_moves, make_source(config), first=make_bent_first_sink)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d

@@ -37,7 +37,7 @@ from warp_psdr.kernels.visibility import visibility_of
 @functools.cache
 def make_grid_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     turned_point = make_turned_point()
     incident_radiance = make_incident_radiance(config)
     accumulate_vertex = make_sdfgrid_sink(role)

@@ -62,9 +62,9 @@ def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves:
 
     ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
     """
-    visibility = visibility_of(config)
-    surface_at = make_interaction(config).surface
-    accumulate_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    surface_at = make_interaction(config.surfaces, config.lights).surface
+    accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)
     transport = make_transport(config, role, camera_moves, make_jump(config), 2)
     sample_4d = make_sampler(config.sampler).sample_4d
 

@@ -54,9 +54,9 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 @functools.cache
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
     incident_radiance = make_incident_radiance(config)
-    accumulate_vertex = make_vertex_sink(role, True, config.flat, False, False, False, True)
+    accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
     project, _film_gradient, film_velocity = make_projection(config.camera)

@@ -38,9 +38,9 @@ def make_film_border_kernel(
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     meshes = not isinstance(options, WarpOptions)
     if isinstance(options, WarpOptions):
-        moved = make_warp_field(config.primitives[0], options, role)
+        moved = make_warp_field(config.surfaces.primitives[0], options, role)
     else:
-        moved = make_ray_motion(config, options, role)
+        moved = make_ray_motion(config.rays, config.surfaces.primitives, options, role)
     path_radiance = make_path_radiance(config)
     camera_ray, _origin = make_camera_ray(config.camera)
     project, film_gradient, _velocity = make_projection(config.camera)

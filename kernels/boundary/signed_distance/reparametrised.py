@@ -118,15 +118,15 @@ def make_reparametrised_kernel(
     path_step = make_path_step(config, True)
     camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role)
-    moved = make_warp_field(config.primitives[0], options, role)
+    moved = make_warp_field(config.surfaces.primitives[0], options, role)
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_film_turn(config.camera)
-    interaction = make_interaction(config)
-    has_lights = config.scatter and samples_lights(config)
-    radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None
-    lights = make_lights(config.lights, role, ()) if config.lights else None
+    interaction = make_interaction(config.surfaces, config.lights)
+    has_lights = config.scatter and samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of = make_light_sink(config.surfaces, config.lights, wanted, role)[0] if has_lights else None
+    lights = make_lights(config.lights.others, role, ()) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
-    position, _cross = make_position(config.primitives)
+    position, _cross = make_position(config.surfaces.primitives)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)
     forward = role == "forward"
@@ -149,7 +149,7 @@ def make_reparametrised_kernel(
         surface = interaction.surface(scene, first.face, first.u, first.v)
         at = interaction.on(scene, surface, first.face, first.u, first.v, first.d)
         r = WarpAdjoint()
-        if wp.static(FIELDS[config.primitives[0]].convex):
+        if wp.static(FIELDS[config.surfaces.primitives[0]].convex):
             if is_primitive_at(scene, first.face):
                 return r
         warp = moved.trace(scene, at.x, w)
@@ -160,7 +160,7 @@ def make_reparametrised_kernel(
         wo = enter_frame(at.frame, w)
         f = interaction.eval(at, wo)
         if face >= 0:
-            if wp.static(bool(config.area)):
+            if wp.static(bool(config.lights.area)):
                 tri = scene.triangles[face]
                 emitter = scene.emitters[scene.shapes[tri.shape].emitter]
                 beyond = light_beyond(scene, emitter, position(tri, u, v), at.x, w)

@@ -23,7 +23,7 @@ from warp_psdr.kernels.sampling import sphere_to_square, square_to_triangle
 from warp_psdr.kernels.scattering import make_light_draw
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig
 
 #: Sample slots of a segment; those of the walk follow (``transport.py``).
 SLOT_SILHOUETTE, SLOT_DIRECTION = 0, 1
@@ -43,15 +43,15 @@ class TangentAim:
 
 
 @functools.cache
-def make_light_point(config: PathConfig):
+def make_light_point(lights: LightConfig):
     """Return ``point(scene, x, index, face, u) -> TangentAim``: of a light, or its direction; face -1: no area light.
 
     x is where the shape is.
     """
-    _pick, draw = make_light_draw(config)
-    exact = make_shining(config.shining)
-    area = bool(config.area)
-    deltas = make_delta_sample(config.lights) is not None
+    _pick, draw = make_light_draw(lights)
+    exact = make_shining(lights.shining)
+    area = bool(lights.area)
+    deltas = make_delta_sample(lights.others) is not None
 
     @wp.func
     def light_point(scene: Scene, x: wp.vec3, index: wp.int32, face: wp.int32, u: wp.vec2) -> TangentAim:
@@ -91,10 +91,10 @@ def make_light_point(config: PathConfig):
 
 
 @functools.cache
-def make_light_aim(config: PathConfig):
+def make_light_aim(lights: LightConfig):
     """Return ``aim(scene, x, u4) -> TangentAim``: a point of a light, or its direction; x is where the shape is."""
-    pick, _draw = make_light_draw(config)
-    light_point = make_light_point(config)
+    pick, _draw = make_light_draw(lights)
+    light_point = make_light_point(lights)
 
     @wp.func
     def light_aim(scene: Scene, x: wp.vec3, u4: wp.vec4) -> TangentAim:
@@ -105,19 +105,19 @@ def make_light_aim(config: PathConfig):
 
 
 @functools.cache
-def make_square_aim(config: PathConfig):
+def make_square_aim(lights: LightConfig):
     """Return ``aim(scene, x, u1, u2) -> TangentAim``: as ``make_light_aim``'s, of a point of the unit square.
 
     What is left of u1 after the choice of a light chooses a triangle of it, and what is left again is a coordinate.
     """
-    light_point = make_light_point(config)
+    light_point = make_light_point(lights)
 
     @wp.func
     def square_aim(scene: Scene, x: wp.vec3, u1: wp.float64, u2: wp.float64) -> TangentAim:
         index = find_interval_64(scene.emitter_cdf, 0, scene.emitters.shape[0], u1)
         rest = within(scene.emitter_cdf, index, u1)
         face = wp.int32(-1)
-        if wp.static(bool(config.area)):
+        if wp.static(bool(lights.area)):
             emitter = scene.emitters[index]
             if emitter.kind == EMITTER_AREA:
                 k = find_interval_64(scene.face_cdf, emitter.cdf_offset, emitter.face_count, rest)
@@ -129,15 +129,15 @@ def make_square_aim(config: PathConfig):
 
 
 @functools.cache
-def make_aim_square(config: PathConfig):
+def make_aim_square(lights: LightConfig):
     """Return ``square(scene, face, u, v, w) -> vec2d``: what ``make_square_aim``'s function is given for a point.
 
     (face, u, v) of an area light, or for face < 0 the direction w towards the environment; negative: no light is there.
     """
-    has_area = bool(config.area)
-    exact = make_shining(config.shining)
-    constant = EMITTER_CONSTANT in config.lights
-    envmap = EMITTER_ENVMAP in config.lights
+    has_area = bool(lights.area)
+    exact = make_shining(lights.shining)
+    constant = EMITTER_CONSTANT in lights.others
+    envmap = EMITTER_ENVMAP in lights.others
 
     @wp.func
     def aim_square(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3) -> wp.vec2d:

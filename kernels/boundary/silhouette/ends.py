@@ -18,7 +18,7 @@ from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: How far from the point of a light that a segment was aimed at it may meet the light: over the distance, and in steps.
@@ -47,14 +47,14 @@ def make_source_end(config: PathConfig):
     ``s`` holds w, step, x and source; ``face`` and ``x`` are those of the touched point, ``aims``: its item is aimed at
     lights as well, ``direct`` as in ``path_space/secondary.py``.
     """
-    visibility = visibility_of(config)
-    pdf_light = make_pdf_light(config, uniform=True)
-    point_at = make_point_at(config.primitives)
-    emitted = make_area(config.area, config.shining).emitted if config.area else None
-    lights = make_lights(config.lights, None, ()) if config.lights else None
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    pdf_light = make_pdf_light(config.lights, uniform=True)
+    point_at = make_point_at(config.surfaces.primitives)
+    emitted = make_area(config.lights.area, config.lights.shining).emitted if config.lights.area else None
+    lights = make_lights(config.lights.others, None, ()) if config.lights.others else None
     environment_eval = lights.environment_eval if lights else None
     has_environment = environment_eval is not None
-    delta_sample = make_delta_sample(config.lights)
+    delta_sample = make_delta_sample(config.lights.others)
 
     @wp.func
     def source_end(
@@ -103,7 +103,7 @@ def make_source_end(config: PathConfig):
                 if hit2.face >= 0:
                     if scene.shapes[scene.triangles[hit2.face].shape].emitter != aim.light:
                         return end
-                    if wp.static(bool(config.shining)):
+                    if wp.static(bool(config.lights.shining)):
                         # An exact shape has one point at most that faces the segment.
                         if wp.dot(aim.cross, r.w) > 0.0:
                             return end
@@ -115,7 +115,7 @@ def make_source_end(config: PathConfig):
             if r.face2 >= 0:
                 end.any_moves += moves(scene, moving, r.face2)
                 end.y = point_at(scene, scene.triangles[r.face2], r.u2, r.v2)
-                if wp.static(bool(config.area)):
+                if wp.static(bool(config.lights.area)):
                     own = scene.shapes[scene.triangles[r.face2].shape].emitter
                     if own >= 0:
                         r.radiance = emitted(scene, scene.emitters[own], r.face2, r.u2, r.v2, r.w)
@@ -136,12 +136,12 @@ def make_source_end(config: PathConfig):
 
 
 @functools.cache
-def make_sensor_end(config: PathConfig):
+def make_sensor_end(rays: RayConfig, primitives: tuple[int, ...]):
     """Return ``sensor_end(scene, moving, s, any_moves) -> Segment``, valid if it ends on a surface and anything moves.
 
     ``any_moves`` counts what moves of all that was met before.
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(rays, primitives)
 
     @wp.func
     def sensor_end(scene: Scene, moving: wp.array(dtype=wp.int32), s: Segment, any_moves: wp.int32) -> Segment:

@@ -29,7 +29,6 @@ from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene, Triangle
-from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -80,12 +79,12 @@ def weigh_outline(
 
 
 @functools.cache
-def make_exact_touch(config: PathConfig) -> Touch:
+def make_exact_touch(primitives: tuple[int, ...], sampler_kind: str) -> Touch:
     """Return the functions of exact shapes."""
-    silhouettes = make_silhouettes(config.primitives)
-    rims = make_rims(config.primitives)
-    neighbour = make_neighbour(config.primitives)
-    coordinates = make_coordinates(config.primitives)
+    silhouettes = make_silhouettes(primitives)
+    rims = make_rims(primitives)
+    neighbour = make_neighbour(primitives)
+    coordinates = make_coordinates(primitives)
 
     @wp.func
     def tangent_of(tri: Triangle, point: SilhouettePoint, eye: wp.vec3, distant: wp.bool) -> wp.vec3:

@@ -41,15 +41,15 @@ from warp_psdr.kernels.visibility import visibility_of
 @functools.cache
 def make_foreground_kernel(config: PathConfig, role: str, camera_moves: bool, family: str):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``family``: a touch's."""
-    touch = touch_of(family, config)
+    touch = touch_of(family, config.surfaces.primitives, config.sampler)
     items, point_type, choice_of, draw, own_at = touch.items, touch.point, touch.choice, touch.draw, touch.own
     passing_at, ahead_of, meets, own_scale = touch.passing, touch.ahead, touch.meets, touch.own_scale
     outline_at, held_at = touch.outline, touch.held
-    visibility = visibility_of(config)
-    sensor_end = make_sensor_end(config)
-    sees = make_sees(config, touch.hides)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
+    sees = make_sees(config.rays, config.surfaces.primitives, touch.hides)
     accumulate_point = touch.make_sink(role)
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     incident = make_incident(config)
     numbers = make_sampler(config.sampler)
     sample_1d = numbers.sample_1d

@@ -38,15 +38,14 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.primitive.sdfgrid import pack
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache
-def make_grid_touch(config: PathConfig, voxels: VoxelFunctions) -> Touch:
+def make_grid_touch(primitives: tuple[int, ...], sampler_kind: str, voxels: VoxelFunctions) -> Touch:
     """Return the functions of grids."""
     record, seen, place, make_sink = voxels.record, voxels.seen, voxels.place, voxels.make_sink
     curvature_of, direction, density = voxels.curvature, voxels.direction, voxels.density
-    sample_1d = make_sampler(config.sampler).sample_1d
+    sample_1d = make_sampler(sampler_kind).sample_1d
 
     @wp.func
     def grid_choice(sampler: Sampler, of_camera: wp.bool) -> wp.float32:

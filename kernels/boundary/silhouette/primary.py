@@ -37,14 +37,14 @@ from warp_psdr.kernels.vertex import PathConfig
 @functools.cache
 def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: bool, family: str):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``); ``family``: a touch's."""
-    touch = touch_of(family, config)
+    touch = touch_of(family, config.surfaces.primitives, config.sampler)
     items, choice_of, draw, seen_from, passing_at = touch.items, touch.choice, touch.draw, touch.seen, touch.passing
     ahead_of, meets, scale_of, held_at = touch.ahead, touch.meets, touch.scale, touch.held
     accumulate_point = touch.make_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     incident_radiance = make_incident_radiance(config)
-    own, behind = make_beside_edge(config)
-    hidden = make_hidden(config, bool(touch.hides))
+    own, behind = make_beside_edge(config.shown)
+    hidden = make_hidden(config.rays, config.surfaces.primitives, bool(touch.hides))
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)

@@ -50,12 +50,12 @@ def make_touching_segment(config: PathConfig, family: str):
     ``aim.light`` is -1 where its direction is its own; ``direct`` as in ``path_space/secondary.py``. The scale is one
     over the density of what was drawn, in the measures above.
     """
-    touch = touch_of(family, config)
+    touch = touch_of(family, config.surfaces.primitives, config.sampler)
     items, point_type, passing_at = touch.items, touch.point, touch.passing
     own_density, aimed_density = touch.own_density, touch.aimed_density
     source_end = make_source_end(config)
-    sensor_end = make_sensor_end(config)
-    sees = make_sees(config, touch.hides)
+    sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
+    sees = make_sees(config.rays, config.surfaces.primitives, touch.hides)
 
     @wp.func
     def touching_segment(
@@ -110,20 +110,20 @@ def make_secondary_silhouette_kernel(
 
     There is a role more, "ends": ``target`` receives what the ends of segments are (``guiding/cube.py``).
     """
-    touch = touch_of(family, config)
+    touch = touch_of(family, config.surfaces.primitives, config.sampler)
     items, point_type, choice_of, seen_from, own_at = touch.items, touch.point, touch.choice, touch.seen, touch.own
     draw, draw_guided, weigh = touch.draw, touch.draw_guided, touch.weigh
     outline_at, held_at = touch.outline, touch.held
     evaluates = role in ("target", "ends")
     in_cube = guided or evaluates
-    lit = bool(config.area or config.lights)
-    light_aim = make_light_aim(config) if lit and not in_cube else None
-    square_aim = make_square_aim(config) if lit and in_cube else None
+    lit = bool(config.lights.area or config.lights.others)
+    light_aim = make_light_aim(config.lights) if lit and not in_cube else None
+    square_aim = make_square_aim(config.lights) if lit and in_cube else None
     cube = make_cube(evaluates) if in_cube else None
-    write_ends = make_ends(config.primitives) if role == "ends" else None
+    write_ends = make_ends(config.surfaces.primitives) if role == "ends" else None
     segment_at = make_touching_segment(config, family)
     accumulate_point = None if evaluates else touch.make_sink(role)
-    accumulate_source = None if evaluates else make_source_sink(role, light_pose, config.primitives)
+    accumulate_source = None if evaluates else make_source_sink(role, light_pose, config.surfaces.primitives)
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source) if role != "ends" else None

@@ -13,10 +13,9 @@ from warp_psdr.kernels.boundary.silhouette.network_points import NETWORK_CELLS
 from warp_psdr.kernels.boundary.silhouette.spline_points import CUBIC_VOXELS
 from warp_psdr.kernels.boundary.silhouette.touch import Touch
 from warp_psdr.kernels.boundary.silhouette.tube_touch import make_tube_touch
-from warp_psdr.kernels.vertex import PathConfig
 
-#: Family -> maker of its functions for a scene.
-TOUCHES: dict[str, Callable[[PathConfig], Touch]] = {
+#: Family -> maker of its functions for the kinds of shapes without triangles of a scene and a kind of sampler.
+TOUCHES: dict[str, Callable[[tuple[int, ...], str], Touch]] = {
     "exact": make_exact_touch,
     "grid": functools.partial(make_grid_touch, voxels=LINEAR_VOXELS),
     "cubic": functools.partial(make_grid_touch, voxels=CUBIC_VOXELS),
@@ -27,6 +26,6 @@ TOUCHES: dict[str, Callable[[PathConfig], Touch]] = {
 }
 
 
-def touch_of(family: str, config: PathConfig) -> Touch:
+def touch_of(family: str, primitives: tuple[int, ...], sampler_kind: str) -> Touch:
     """Return the functions of a family for a scene."""
-    return TOUCHES[family](config)
+    return TOUCHES[family](primitives, sampler_kind)

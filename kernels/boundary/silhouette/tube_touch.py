@@ -38,7 +38,6 @@ from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
 from warp_psdr.kernels.primitive.curve_kinds import CONES
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
 
 #: Sample slot of the root around a circle.
 SLOT_AROUND = 2
@@ -157,9 +156,9 @@ def weigh_tube(
 
 
 @functools.cache
-def make_tube_touch(config: PathConfig) -> Touch:
+def make_tube_touch(primitives: tuple[int, ...], sampler_kind: str) -> Touch:
     """Return the functions of curves."""
-    numbers = make_sampler(config.sampler)
+    numbers = make_sampler(sampler_kind)
     sample_1d = numbers.sample_1d
     sample_4d = numbers.sample_4d
 
@@ -170,7 +169,7 @@ def make_tube_touch(config: PathConfig) -> Touch:
         return sample_1d(sampler, SLOT_AROUND)
 
     def make_sink(role: str) -> wp.Function:
-        return make_tube_sink(role, config.primitives)
+        return make_tube_sink(role, primitives)
 
     return Touch(
         items=TubeItems, point=TubePoint, choice=tube_choice, draw=draw_tube,
@@ -178,5 +177,5 @@ def make_tube_touch(config: PathConfig) -> Touch:
         ahead=ahead_of_tube, meets=tube_meets, scale=tube_scale, own_scale=tube_own_scale, own_density=tube_own_density,
         aimed_density=tube_aimed_density, weigh=weigh_tube, outline=tube_outline, held=tube_coordinates,
         make_sink=make_sink, tries=LOOKS, hides=(CONES.number,),
-        creases=CONES.number in config.primitives,
+        creases=CONES.number in primitives,
     )  # fmt: skip

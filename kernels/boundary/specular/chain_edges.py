@@ -354,9 +354,9 @@ def make_shadow_crossing(config: PathConfig):
     lit = make_lit(config)
     if lit is None:
         return None
-    outline_at = make_chain_outline(config.primitives)
-    sample = make_delta_sample(config.lights)
-    visibility = visibility_of(config)
+    outline_at = make_chain_outline(config.surfaces.primitives)
+    sample = make_delta_sample(config.lights.others)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.func
     def shadow_crossing(

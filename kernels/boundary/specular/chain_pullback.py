@@ -44,15 +44,22 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str):
     adjoints of that vertex, and ``o_before`` one of the position before it. -1: the ray leaves the camera. The result
     is 0 in reverse mode and the derivative in forward mode.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     scatter, scatter_vjp = interaction.scatter, interaction.scatter_vjp
-    frame_vjp = make_frame_vjp(config.tangent)
-    accumulate_material = make_material_sink(config, wanted, role)
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
     accumulate_vertex = make_adjoint_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
+        role,
+        config.surfaces.smooth,
+        config.surfaces.flat,
+        config.surfaces.uv,
+        config.surfaces.tangent,
+        wanted.texcoords,
+        True,
+        config.surfaces.primitives,
     )
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
-    sliding = has_sliding(config.primitives)
+    sliding = has_sliding(config.surfaces.primitives)
 
     @wp.func
     def pull(

@@ -100,10 +100,12 @@ def make_crossing(config: PathConfig):
     """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
-    point_differential = make_point_differential(config.smooth, config.flat, config.primitives)
-    edge_crossing = make_edge_crossing(config.hidden, config.primitives)
+    point_differential = make_point_differential(
+        config.surfaces.smooth, config.surfaces.flat, config.surfaces.primitives
+    )
+    edge_crossing = make_edge_crossing(config.rays.hidden, config.surfaces.primitives)
     shadow_crossing = make_shadow_crossing(config)
-    one_sheet = make_one_sheet(config.primitives)
+    one_sheet = make_one_sheet(config.surfaces.primitives)
 
     @wp.func
     def crossing(
@@ -186,7 +188,7 @@ def make_crossing(config: PathConfig):
             visit.lobe = wp.where(p.kind == MEETS_DELTA, p.lobe, LOBE_NONE)
             visit.attached = wp.where(i > 0 or block.film == 1, 1, 0)
             visits[count + i] = visit
-            if wp.static(bool(config.primitives)):
+            if wp.static(bool(config.surfaces.primitives)):
                 if is_primitive_at(scene, p.face) and wp.abs(wp.dot(p.ng, d)) < TANGENT:
                     return r
             a_x = point_differential(scene, p, x, d, a)

@@ -60,12 +60,12 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
     follow_chain = make_follow_chain(config)
     crossing_at = make_crossing(config)
     pull = make_chain_pullback(config, wanted, role)
-    accumulate_segment = make_segment_sink(role, light_pose, config.primitives)
-    accumulate_source = make_source_sink(role, light_pose, config.primitives)
-    sliding = has_sliding(config.primitives)
-    accumulate_outline = make_outline_sink(role, config.primitives)
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.primitives)
-    interaction = make_interaction(config)
+    accumulate_segment = make_segment_sink(role, light_pose, config.surfaces.primitives)
+    accumulate_source = make_source_sink(role, light_pose, config.surfaces.primitives)
+    sliding = has_sliding(config.surfaces.primitives)
+    accumulate_outline = make_outline_sink(role, config.surfaces.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     has_smooth = interaction.eval is not None
     splat, gather = make_splat()
     note_place = make_note(config.noted)
@@ -223,7 +223,7 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
                             )
                     if r.edge == 1:
                         speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
-                    if wp.static(bool(config.primitives)):
+                    if wp.static(bool(config.surfaces.primitives)):
                         if r.edge == 3:
                             moved = w * r.segment.boundary_normal
                             speed = accumulate_source(scene, target, r.segment, w, speed)

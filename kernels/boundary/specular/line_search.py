@@ -70,7 +70,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
     identity = make_identity(config)
     accumulate_crossings = make_line_sink(config, wanted, role, light_pose)
     path_step = make_path_step(config, False)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     has_smooth = interaction.eval is not None
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d

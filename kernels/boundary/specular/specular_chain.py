@@ -146,14 +146,14 @@ def step_from(scene: Scene, face: wp.int32, step: wp.float32) -> wp.float32:
 @functools.cache
 def make_intersect_link(config: PathConfig):
     """Return ``intersect_link(scene, o, d, t_max, depth, on, max_depth) -> Link``: what a ray meets at ``depth``."""
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     bsdf, emitted = interaction.bsdf, interaction.emitted
     # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes. No model has three of them
     # (``warp_psdr/plan/coverage.py``).
     mixed = bsdf.eval is not None
     transmissive = bsdf.relative_eta is not None
-    nulls = has_null_lobes(config.bsdfs)
+    nulls = has_null_lobes(config.surfaces.bsdfs)
 
     @wp.func
     def intersect_link(
@@ -233,10 +233,10 @@ def make_lit(config: PathConfig):
 
     None: the scene has none.
     """
-    sample = make_delta_sample(config.lights)
+    sample = make_delta_sample(config.lights.others)
     if sample is None:
         return None
-    visibility = visibility_of(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
 
     @wp.func
     def lit(scene: Scene, x: wp.vec3, ng: wp.vec3, light: wp.int32) -> wp.bool:
@@ -258,7 +258,7 @@ def make_identity(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     lit = make_lit(config)
-    patch = make_patch(config.primitives)
+    patch = make_patch(config.surfaces.primitives)
 
     @wp.func
     def identity(

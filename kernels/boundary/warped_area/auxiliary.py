@@ -19,7 +19,7 @@ from warp_psdr.kernels.math import any_tangent
 from warp_psdr.kernels.rng import reverse_bits, scramble_reversed, sobol_reversed, unit_float
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Least and largest of kappa (1 - cos) between which densities are even in its logarithm.
@@ -92,9 +92,9 @@ def nearest_edge(tri: Triangle, o: wp.vec3, d: wp.vec3) -> wp.float32:
 
 
 @functools.cache
-def make_auxiliary(config: PathConfig, options: WarpedOptions):
+def make_auxiliary(rays: RayConfig, primitives: tuple[int, ...], options: WarpedOptions):
     """Return ``cast(scene, bundle, index, seed_x, seed_y) -> AuxiliaryRay``."""
-    seen = visibility_of(config).seen
+    seen = visibility_of(rays, primitives).seen
     kappa = options.kappa
 
     @wp.func

@@ -37,11 +37,11 @@ def make_direction_from(config: PathConfig, wanted: GradientRequest, role: str):
     ``technique`` 0: to the light that was sampled; 1: the one along which the path goes on from vertex ``n``, where
     ``radiance`` is what it finds and ``a_d`` the adjoint of its direction behind ``n``.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
-    has_lights = config.scatter and samples_lights(config)
-    radiance_of = make_light_sink(config, wanted, role)[0] if has_lights else None
-    lights = make_lights(config.lights, role, ()) if config.lights else None
+    has_lights = config.scatter and samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of = make_light_sink(config.surfaces, config.lights, wanted, role)[0] if has_lights else None
+    lights = make_lights(config.lights.others, role, ()) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
 
     @wp.func

@@ -45,14 +45,21 @@ def make_path_warped_area_kernel(
     camera_ray, camera_origin = make_camera_ray(config.camera)
     # Its sinks drop what they get: adjoints of vertices are all that is asked for.
     sweep, _finish, finish_vertex = make_sweep(config, wanted, "samples")
-    moved = make_warp_motion(config, options, role)
+    moved = make_warp_motion(config.rays, config.surfaces.primitives, options, role)
     pull_material = make_material_motion(role)
     accumulate_vertex = make_adjoint_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, False, True, config.primitives
+        role,
+        config.surfaces.smooth,
+        config.surfaces.flat,
+        config.surfaces.uv,
+        config.surfaces.tangent,
+        False,
+        True,
+        config.surfaces.primitives,
     )
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_film_turn(config.camera)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     direction_from = make_direction_from(config, wanted, "samples")
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"

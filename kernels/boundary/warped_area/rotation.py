@@ -28,7 +28,7 @@ from warp_psdr.kernels.rng import Sampler, Words, hashed, salted, unit_float
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import point_on
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Height over a plane, over the distance from the rays' origin, up to which a point lies in it: float32 knows no more.
@@ -106,9 +106,11 @@ def is_beyond(n: wp.vec3, at: wp.vec3, y: wp.vec3, o: wp.vec3) -> wp.bool:
 
 
 @functools.cache
-def make_rotation_motion(config: PathConfig, options: RotationOptions, role: str) -> WarpMotions:
+def make_rotation_motion(
+    rays: RayConfig, primitives: tuple[int, ...], options: RotationOptions, role: str
+) -> WarpMotions:
     """Return the functions of a scene of meshes, as ``make_warp_motion`` does."""
-    seen = visibility_of(config).seen
+    seen = visibility_of(rays, primitives).seen
     sink3 = make_sink_vec3(role)
     pairs, fresh = options.pairs, options.fresh
 

@@ -18,7 +18,7 @@ from warp_psdr.kernels.boundary.warped_area.auxiliary import AuxiliaryBundle, Wa
 from warp_psdr.kernels.rng import Sampler, hashed, salted, unit_float
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import RayConfig
 
 #: Probability that a net is doubled at all, and that one is doubled once more: 2^-1.5, so that neither the mean number
 #: of rays nor the variance grows with the levels.
@@ -67,11 +67,11 @@ class WarpMotions(NamedTuple):
 
 
 @functools.cache
-def make_warp_motion(config: PathConfig, options: WarpedOptions, role: str) -> WarpMotions:
+def make_warp_motion(rays: RayConfig, primitives: tuple[int, ...], options: WarpedOptions, role: str) -> WarpMotions:
     """Return the functions of a scene of meshes."""
-    cast = make_auxiliary(config, options)
+    cast = make_auxiliary(rays, primitives, options)
     sink3 = make_sink_vec3(role)
-    rays = options.rays
+    rays_per_net = options.rays
 
     @wp.func
     def sum_net(
@@ -94,10 +94,10 @@ def make_warp_motion(config: PathConfig, options: WarpedOptions, role: str) -> W
         m.bundle = bundle
         m.x = h.x
         m.y = h.y
-        m.first = sum_net(scene, bundle, h.x, h.y, 0, wp.static(rays))
+        m.first = sum_net(scene, bundle, h.x, h.y, 0, wp.static(rays_per_net))
         if wp.static(options.debias):
             if unit_float(h.z) < DOUBLES:
-                m.rays = wp.static(rays)
+                m.rays = wp.static(rays_per_net)
                 rest = wp.float32(1.0)  # probability of this level or a higher one
                 u = unit_float(h.w)
                 level = wp.int32(1)
@@ -162,7 +162,7 @@ def make_warp_motion(config: PathConfig, options: WarpedOptions, role: str) -> W
         across = a_w - (wp.dot(w, a_w) + 2.0 * value) * w
         none = NetSums()
         r = pull_net(
-            scene, target, m.bundle, m.x, m.y, 0, wp.static(rays), none, 1.0, m.first, value, across
+            scene, target, m.bundle, m.x, m.y, 0, wp.static(rays_per_net), none, 1.0, m.first, value, across
         )  # fmt: skip
         if wp.static(options.debias):
             if m.rays > 0:

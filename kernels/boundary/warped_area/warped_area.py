@@ -41,10 +41,10 @@ def make_warped_area_kernel(
     path_step = make_path_step(config, True)
     camera_ray, camera_origin = make_camera_ray(config.camera)
     sweep, _finish, finish_vertex = make_sweep(config, wanted, role, links=False)
-    moved = make_ray_motion(config, options, role)
+    moved = make_ray_motion(config.rays, config.surfaces.primitives, options, role)
     draw_point, weigh_point = make_film_point(config.filter)
     turn = make_film_turn(config.camera)
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     direction_from = make_direction_from(config, wanted, role)
     sample_4d = make_sampler(config.sampler).sample_4d
     sample_weight = make_sample_weight(role)

@@ -21,7 +21,7 @@ from warp_psdr.kernels.lanes.lanes import make_record, words
 from warp_psdr.kernels.sampling import mis_weight
 from warp_psdr.kernels.scattering import make_light_sampler, samples_lights
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig
 
 #: Share of a value in a target: 2 % of what a relative change by the step (``shape_parameters.py``) would be.
 FLOOR = wp.constant(1.5e-4)
@@ -78,9 +78,9 @@ def is_upper(n4: wp.vec4) -> wp.bool:
 
 
 @functools.cache
-def make_light_candidate(config: PathConfig) -> wp.Function:
+def make_light_candidate(lights: LightConfig) -> wp.Function:
     """Return ``light_point(scene, x, n4) -> LightPoint``, as seen from x."""
-    sample_light = make_light_sampler(config)
+    sample_light = make_light_sampler(lights)
 
     @wp.func
     def light_point(scene: Scene, x: wp.vec3, n4: wp.vec4) -> LightPoint:
@@ -98,13 +98,13 @@ def make_light_candidate(config: PathConfig) -> wp.Function:
 @functools.cache
 def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int) -> Candidates:
     """Return the functions for a scene, the values that are branched and a number of candidates."""
-    mixing = bool(mixed_values(config, wanted))
-    interaction = make_interaction(config, True)
+    mixing = bool(mixed_values(config.surfaces, wanted))
+    interaction = make_interaction(config.surfaces, config.lights, True)
     record, bsdf = interaction.record, interaction.bsdf
     material_record = bsdf.record
     numbers = make_resampling(candidates).numbers
     delta = bsdf.scatter is not None
-    rows = config.ray_backend == "wide"
+    rows = config.rays.backend == "wide"
     get_target, put_target = make_record(Target, candidates) if rows else (None, None)
     get_point, put_point = make_record(LightPoint, candidates) if rows else (None, None)
     first_point = words(Target)
@@ -190,9 +190,9 @@ def make_candidates(config: PathConfig, wanted: GradientRequest, candidates: int
             for k in range(t.shape[0]):
                 t[k] = direction_target(at, mixes, lower, upper, moved, numbers(r4, k), sizes)
 
-    if not samples_lights(config):
+    if not samples_lights(config.lights, config.surfaces.bsdfs):
         return Candidates(direction_targets, None, density)
-    light_point = make_light_candidate(config)
+    light_point = make_light_candidate(config.lights)
 
     @wp.func
     def light_targets(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 class GradientRequest:
     """Which derivatives are compiled; everything else costs nothing."""
 
-    #: Textures of material values, one answer for each of ``PathConfig.material``.
+    #: Textures of material values, one answer for each of ``SurfaceConfig.material``.
     material: tuple[bool, ...] = ()
     #: Texture-coordinate transforms of bitmaps in material slots and of area lights.
     to_uv: bool = False

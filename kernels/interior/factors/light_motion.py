@@ -110,18 +110,24 @@ def make_place_sink(lights: tuple[int, ...], role: str):
 @functools.cache
 def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) -> LightMotion:
     """Return the functions; ``role``: "reverse" or "forward"."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     material_record, add_materials = interaction.bsdf.record, interaction.bsdf.algebra.add
     eval_vjp, delta_vjp = interaction.eval_vjp, interaction.scatter_vjp
     relative_eta = interaction.bsdf.relative_eta
     has_smooth = eval_vjp is not None
-    frame_vjp = make_frame_vjp(config.tangent)
-    accumulate_material = make_material_sink(config, wanted, role)
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
     accumulate_vertex = make_vertex_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True
+        role,
+        config.surfaces.smooth,
+        config.surfaces.flat,
+        config.surfaces.uv,
+        config.surfaces.tangent,
+        wanted.texcoords,
+        True,
     )
-    _radiance_of, accumulate_light = make_light_sink(config, wanted, role, links=False)
-    accumulate_place = make_place_sink(config.lights, role)
+    _radiance_of, accumulate_light = make_light_sink(config.surfaces, config.lights, wanted, role, links=False)
+    accumulate_place = make_place_sink(config.lights.others, role)
     importance_gradient = make_importance_gradient(config.camera)
     project, film_gradient, _film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)

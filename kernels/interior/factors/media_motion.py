@@ -78,18 +78,20 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     ``finish(scene, target, camera, sample, carry) -> float32``: from the first step to the camera.
     """
     assert config.media is not None
-    surfaces = replace(config, through=False)  # transmittances are this sweep's
-    sweep, _finish, finish_vertex = make_sweep(surfaces, wanted, role)
-    interaction = make_interaction(surfaces)
-    position, cross_of = make_position(config.primitives)
+    # Transmittances are this sweep's.
+    sweep, _finish, finish_vertex = make_sweep(replace(config, through=False), wanted, role)
+    interaction = make_interaction(config.surfaces, config.lights)
+    position, cross_of = make_position(config.surfaces.primitives)
     phase = make_phase(config.media.phases)
     by_cosine, by_place = make_phase_slopes(config.media.phases)
     placed = PHASE_BLEND_GRID in config.media.phases
     flakes = PHASE_SGGX in config.media.phases
     extinction_along = make_extinction_along(config.media.phases)
-    has_lights = bool(config.area or config.lights)
-    smooth = samples_lights(config)
-    radiance_of, accumulate_light = make_light_sink(surfaces, wanted, role) if has_lights else (None, None)
+    has_lights = bool(config.lights.area or config.lights.others)
+    smooth = samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of, accumulate_light = (
+        make_light_sink(config.surfaces, config.lights, wanted, role) if has_lights else (None, None)
+    )
     grids = config.media.grids
     grids_move = POSE in wanted.media
     accumulate_shadow = make_grid_shadow_sink(config, role, grids_move) if grids else make_shadow_sink(config, role)

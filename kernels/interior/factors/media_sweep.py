@@ -41,7 +41,7 @@ from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.transmittance import other_factors
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 
 
 def explores_density(wanted: GradientRequest) -> bool:
@@ -49,10 +49,10 @@ def explores_density(wanted: GradientRequest) -> bool:
     return SIGMA_T in wanted.media or SCALE in wanted.media
 
 
-def turns_flakes(config: PathConfig, wanted: GradientRequest) -> bool:
+def turns_flakes(media: MediaConfig, wanted: GradientRequest) -> bool:
     """Whether the extinction of what flies along a direction is differentiated by S (``phase/microflakes.py``)."""
-    assert config.media is not None
-    return PHASE in wanted.media and has_flakes(config.media.phases)
+    assert media is not None
+    return PHASE in wanted.media and has_flakes(media.phases)
 
 
 @wp.func
@@ -68,16 +68,16 @@ def make_attenuation_sink(config: PathConfig, wanted: GradientRequest, role: str
     ``w`` is the adjoint of the transmittance of the segment to the vertex's light, which is walked again.
     """
     assert config.media is not None
-    shadow_crossing = make_crossed_surface(config)
-    interaction = make_interaction(config)
+    shadow_crossing = make_crossed_surface(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     passage = make_media_passage(config, True)
     accumulate_extinction, _accumulate_flight = make_coefficient_sinks(role, wanted.media)
-    accumulate_material = make_material_sink(config, wanted, role)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
     accumulate_depth, _tracked, _extinction_at = make_grid_adjoint(config.media, role, wanted.media)
     grids = config.media.grids
     density = explores_density(wanted)
     flakes = PHASE_SGGX in config.media.phases
-    turned = turns_flakes(config, wanted)
+    turned = turns_flakes(config.media, wanted)
     flake_length = make_flake_length(config.media.phases)
     _value, accumulate_area = make_flake_sinks(config.media.phases, role)
     materials = any(wanted.material) or wanted.to_uv
@@ -124,7 +124,7 @@ def make_attenuation_sink(config: PathConfig, wanted: GradientRequest, role: str
                 total += accumulate_extinction(scene, target, scene.media.records[medium], a_sigma)
         return total
 
-    if not has_null_lobes(config.bsdfs):
+    if not has_null_lobes(config.surfaces.bsdfs):
 
         @wp.func
         def accumulate_free_segment(
@@ -192,28 +192,30 @@ def make_media_sweep(config: PathConfig, wanted: GradientRequest, role: str, rat
     ``ratio``: in-scattering in grids is shared with differential ratio tracking.
     """
     assert config.media is not None
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     sweep, _finish, _finish_vertex = make_sweep(config, wanted, role, direct=False)
     phase = make_phase(config.media.phases)
     accumulate_phase = make_phase_sink(config.media.phases, role)
     _accumulate_extinction, accumulate_flight = make_coefficient_sinks(role, wanted.media)
     _depth, accumulate_tracked, _extinction_at = make_grid_adjoint(config.media, role, wanted.media, ratio)
     grids = config.media.grids
-    turned = turns_flakes(config, wanted)
+    turned = turns_flakes(config.media, wanted)
     emissive = config.media.emissive and (turned or bool({SIGMA_T, SCALE, EMISSION} & set(wanted.media)))
     accumulate_emission = make_emission_sink(config.media.phases, role, wanted.media)
     accumulate_grid_emission = make_grid_emission_sink(config.media, role, wanted.media) if emissive and grids else None
     accumulate_segment = make_attenuation_sink(config, wanted, role)
-    accumulate_material = make_material_sink(config, wanted, role)
-    has_lights = bool(config.area or config.lights)
-    smooth = samples_lights(config)
-    radiance_of, accumulate_light = make_light_sink(config, wanted, role) if has_lights else (None, None)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
+    has_lights = bool(config.lights.area or config.lights.others)
+    smooth = samples_lights(config.lights, config.surfaces.bsdfs)
+    radiance_of, accumulate_light = (
+        make_light_sink(config.surfaces, config.lights, wanted, role) if has_lights else (None, None)
+    )
     materials = any(wanted.material) or wanted.to_uv
     lights = wanted.radiance or wanted.to_uv or bool(wanted.lights)
     flakes = PHASE_SGGX in config.media.phases
     flake_length = make_flake_length(config.media.phases)
     _value, accumulate_area = make_flake_sinks(config.media.phases, role)
-    segments = explores_density(wanted) or turned or (materials and has_null_lobes(config.bsdfs))
+    segments = explores_density(wanted) or turned or (materials and has_null_lobes(config.surfaces.bsdfs))
     scattered = PHASE in wanted.media
 
     @wp.func

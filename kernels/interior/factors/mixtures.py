@@ -21,21 +21,21 @@ from warp_psdr.kernels.interior.factors.branch_point import DIRECTION_SLOT, NO_R
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, SurfaceConfig
 
 #: Slot of the number that chooses a weight where several move at once.
 WEIGHT_SLOT = VERTEX_SLOT - 3
 
 
-def mixed_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
+def mixed_values(surfaces: SurfaceConfig, wanted: GradientRequest) -> list[str]:
     """Return the names of the requested values that weigh lobes, of any model of a scene."""
-    names = {name for model in models_of(config.bsdfs) for name in model.mixes}
-    return [s.name for s, w in zip(config.material, wanted.material, strict=True) if w and s.name in names]
+    names = {name for model in models_of(surfaces.bsdfs) for name in model.mixes}
+    return [s.name for s, w in zip(surfaces.material, wanted.material, strict=True) if w and s.name in names]
 
 
 @functools.cache
 def make_mixture(
-    config: PathConfig, wanted: GradientRequest
+    surfaces: SurfaceConfig, wanted: GradientRequest
 ) -> tuple[wp.Function, wp.Function, wp.Function, wp.Function]:
     """Return functions over the weights that ``wanted`` holds, of a direction in which a material moves.
 
@@ -43,9 +43,9 @@ def make_mixture(
     over the length of its range; ``end(material, direction, number, upper) -> record``: the material with that one at
     an end of its range; ``member(direction, number, x) -> record``: ``x`` at that one.
     """
-    record = make_bsdf(config.bsdfs).record
-    bounds = {value.name: (value.low, value.high) for value in merge_values(models_of(config.bsdfs))}
-    names = mixed_values(config, wanted)
+    record = make_bsdf(surfaces.bsdfs).record
+    bounds = {value.name: (value.low, value.high) for value in merge_values(models_of(surfaces.bsdfs))}
+    names = mixed_values(surfaces, wanted)
 
     def function(head: str, before: list[str], of_one: str, after: str) -> wp.Function:
         lines = [head, *(f"    {line}" for line in before), "    n = wp.int32(0)"]
@@ -83,9 +83,9 @@ def make_mixture_directions(
     config: PathConfig, wanted: GradientRequest, role: str, path_radiance: wp.Function, scatter: wp.Function
 ) -> wp.Function:
     """Return ``from_directions`` of ``branch.py`` for vertices whose branched values are weights."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record, material_record = interaction.record, interaction.bsdf.record
-    count_of, rate_of, end_of, member_of = make_mixture(config, wanted)
+    count_of, rate_of, end_of, member_of = make_mixture(config.surfaces, wanted)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"
 

@@ -94,11 +94,11 @@ def sort_by(key: wp.array(dtype=wp.float32), t: wp.array(dtype=wp.float32), orde
 @functools.cache
 def make_opposite(config: PathConfig, candidates: int) -> Opposite:
     """Return the functions for a scene and a number of candidates."""
-    interaction = make_interaction(config, True)
+    interaction = make_interaction(config.surfaces, config.lights, True)
     record, bsdf = interaction.record, interaction.bsdf
     normal = bsdf.normal
     numbers, choose_two = make_resampling(candidates)[1:]
-    rows = config.ray_backend == "wide"
+    rows = config.rays.backend == "wide"
     get_change, put_change = make_record(TiltChange, candidates) if rows else (None, None)
     get_point, put_point = make_record(LightPoint, candidates) if rows else (None, None)
     first_point = words(TiltChange)
@@ -209,9 +209,9 @@ def make_opposite(config: PathConfig, candidates: int) -> Opposite:
                 key[k] = change.along_2
         return choose(u, t, key, order)
 
-    if not samples_lights(config):
+    if not samples_lights(config.lights, config.surfaces.bsdfs):
         return Opposite(numbers, directions, None)
-    light_point = make_light_candidate(config)
+    light_point = make_light_candidate(config.lights)
 
     @wp.func
     def lights(

@@ -11,18 +11,18 @@ import warp as wp
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.path_media import MediaVertex
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import RayConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_crossed_surface(config: PathConfig):
+def make_crossed_surface(rays: RayConfig, primitives: tuple[int, ...]):
     """Return ``shadow_crossing(scene, vertex, number, start, t_max) -> RayHit``.
 
     The surface of that ``number`` on the segment to the vertex's light, which nothing blocks; face -1: none is left.
     ``start``: behind the one before, ``t_max``: what is left of the segment there.
     """
-    visibility = visibility_of(config)
+    visibility = visibility_of(rays, primitives)
 
     @wp.func
     def shadow_crossing(scene: Scene, v: MediaVertex, number: wp.int32, start: wp.vec3, t_max: wp.float32) -> RayHit:

@@ -66,8 +66,8 @@ def make_shadow_sink(config: PathConfig, role: str):
     ``w`` is the adjoint of the logarithm of the transmittance to the vertex's light, by channel. The segment is walked
     again.
     """
-    shadow_crossing = make_crossed_surface(config)
-    is_interface, past = make_null_surface(config)
+    shadow_crossing = make_crossed_surface(config.rays, config.surfaces.primitives)
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
     accumulate_crossing = make_interface_sink(role)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases

@@ -20,7 +20,7 @@ from warp_psdr.kernels.interior.factors.velocities import make_material_jvp
 from warp_psdr.kernels.invalid import LARGEST
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import SurfaceConfig
 from warp_psdr.kernels.vertex_motion import VertexTangent
 
 #: Colours that are branched: the complex index of refraction.
@@ -51,15 +51,17 @@ def is_shape(slot: Slot, bsdfs: tuple[str, ...]) -> bool:
     return smooth and not any(slot.name in m.turned_by for m in models)
 
 
-def branched_values(config: PathConfig, wanted: GradientRequest) -> tuple[bool, ...]:
-    """Return which of the requested material values are branched, one answer for each of ``PathConfig.material``."""
-    return tuple(w and is_shape(slot, config.bsdfs) for slot, w in zip(config.material, wanted.material, strict=True))
+def branched_values(surfaces: SurfaceConfig, wanted: GradientRequest) -> tuple[bool, ...]:
+    """Return which of the requested material values are branched, one answer for each of ``SurfaceConfig.material``."""
+    return tuple(
+        w and is_shape(slot, surfaces.bsdfs) for slot, w in zip(surfaces.material, wanted.material, strict=True)
+    )
 
 
-def unsplit_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
+def unsplit_values(surfaces: SurfaceConfig, wanted: GradientRequest) -> list[str]:
     """Return the branched values of which some model of the scene has no lobes of one sign (``bsdf/model.py``)."""
-    branched = [slot.name for slot, b in zip(config.material, branched_values(config, wanted), strict=True) if b]
-    models = models_of(config.bsdfs)
+    branched = [slot.name for slot, b in zip(surfaces.material, branched_values(surfaces, wanted), strict=True) if b]
+    models = models_of(surfaces.bsdfs)
     return [
         name
         for name in branched
@@ -86,12 +88,12 @@ class ShapeParameters(NamedTuple):
 
 
 @functools.cache
-def make_shape_parameters(config: PathConfig, wanted: GradientRequest, role: str) -> ShapeParameters:
+def make_shape_parameters(surfaces: SurfaceConfig, wanted: GradientRequest, role: str) -> ShapeParameters:
     """Return the functions for the material values that ``wanted`` holds."""
-    record = make_bsdf(config.bsdfs).record
+    record = make_bsdf(surfaces.bsdfs).record
     scope = {"record": record, "Scene": Scene, "VertexTangent": VertexTangent, "anchor": anchor, "slot_at": slot_at}
     scope |= {"LARGEST": LARGEST, "STEP": STEP, "LEAST_SCALE": LEAST_SCALE, "is_within": is_within}
-    chosen = [(k, slot) for k, (slot, w) in enumerate(zip(config.material, wanted.material, strict=True)) if w]
+    chosen = [(k, slot) for k, (slot, w) in enumerate(zip(surfaces.material, wanted.material, strict=True)) if w]
     found = [f"    i{k} = slot_at(scene, slots, {k})" for k, _slot in chosen]
     first = [
         " and ".join([f"i{k} >= 0", *(f"i{k} != i{j}" for j, _slot in chosen[:place])])
@@ -110,7 +112,7 @@ def make_shape_parameters(config: PathConfig, wanted: GradientRequest, role: str
         "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
     ]
     if role == "forward":
-        scope["material_jvp"] = make_material_jvp(config, wanted)
+        scope["material_jvp"] = make_material_jvp(surfaces, wanted)
         direction.append("    return material_jvp(scene, target, slots, face, u, v, uv, VertexTangent())\n")
     else:
         direction += ["    m = record()", "    n = wp.int32(0)", "    texture = wp.int32(-1)", *found]
@@ -122,8 +124,8 @@ def make_shape_parameters(config: PathConfig, wanted: GradientRequest, role: str
             direction += [f"    if i{k} >= 0 and i{k} == texture:", f"        m.{slot.name} = {one}"]
         direction.append("    return m\n")
 
-    bounds = {value.name: (value.low, value.high) for value in merge_values(models_of(config.bsdfs))}
-    linear = {name for model in models_of(config.bsdfs) for name in model.mixes}
+    bounds = {value.name: (value.low, value.high) for value in merge_values(models_of(surfaces.bsdfs))}
+    linear = {name for model in models_of(surfaces.bsdfs) for name in model.mixes}
     members = [
         (f"{slot.name}{part}", *bounds[slot.name])
         for _k, slot in chosen

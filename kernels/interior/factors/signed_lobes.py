@@ -24,21 +24,21 @@ from warp_psdr.kernels.interior.factors.branch_point import (
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.rng import Sampler, hashed, make_sampler, unit_float
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, SurfaceConfig
 
 #: Slot of the number that chooses a value where several move at once.
 NUMBER_SLOT = VERTEX_SLOT - 4
 
 
-def signed_values(config: PathConfig, wanted: GradientRequest) -> list[str]:
+def signed_values(surfaces: SurfaceConfig, wanted: GradientRequest) -> list[str]:
     """Return the names of the requested values whose derivative is lobes of one sign, of any model of a scene."""
-    names = {name for model in models_of(config.bsdfs) for name in model.signed}
-    return [s.name for s, w in zip(config.material, wanted.material, strict=True) if w and s.name in names]
+    names = {name for model in models_of(surfaces.bsdfs) for name in model.signed}
+    return [s.name for s, w in zip(surfaces.material, wanted.material, strict=True) if w and s.name in names]
 
 
 @functools.cache
 def make_signed_numbers(
-    config: PathConfig, wanted: GradientRequest
+    surfaces: SurfaceConfig, wanted: GradientRequest
 ) -> tuple[wp.Function, wp.Function, wp.Function, wp.Function]:
     """Return functions over the values that ``wanted`` holds, of a direction in which a material moves.
 
@@ -46,15 +46,15 @@ def make_signed_numbers(
     the n-th in ``Model.signed``; ``rate(model, direction, number) -> float32``: its velocity;
     ``member(model, number, x) -> record``: ``x`` at that one.
     """
-    record = make_bsdf(config.bsdfs).record
-    names = signed_values(config, wanted)
+    record = make_bsdf(surfaces.bsdfs).record
+    names = signed_values(surfaces, wanted)
     count = ["def signed_count(model: wp.int32, direction: record) -> wp.int32:", "    n = wp.int32(0)"]
     number = ["def signed_number(model: wp.int32, direction: record, n: wp.int32) -> wp.int32:"]
     number += ["    left = n", "    found = wp.int32(-1)"]
     rate = ["def signed_rate(model: wp.int32, direction: record, number: wp.int32) -> wp.float32:"]
     rate += ["    r = wp.float32(0.0)"]
     member = ["def signed_member(model: wp.int32, number: wp.int32, x: wp.float32) -> record:", "    m = record()"]
-    for place, model in enumerate(models_of(config.bsdfs)):
+    for place, model in enumerate(models_of(surfaces.bsdfs)):
         for k, name in enumerate(model.signed):
             if name in names:
                 moves = f"    if model == {place} and direction.{name} != 0.0:"
@@ -72,10 +72,10 @@ def make_signed_directions(
     config: PathConfig, wanted: GradientRequest, role: str, path_radiance: wp.Function
 ) -> wp.Function:
     """Return ``from_directions`` of ``branch.py`` for vertices whose branched values have lobes of one sign."""
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     record, material_record = interaction.record, interaction.bsdf.record
     draw, weight_of = interaction.bsdf.signed
-    count_of, number_of, rate_of, member_of = make_signed_numbers(config, wanted)
+    count_of, number_of, rate_of, member_of = make_signed_numbers(config.surfaces, wanted)
     onward_radiance = make_onward_radiance(interaction, path_radiance)
     sample_4d = make_sampler(config.sampler).sample_4d
     forward = role == "forward"

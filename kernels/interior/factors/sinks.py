@@ -18,14 +18,14 @@ from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.texture.gradient import make_reader_sink
 from warp_psdr.kernels.texture.texture import make_texture_sink
-from warp_psdr.kernels.vertex import PathConfig, PathVertex
+from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 
 
 @functools.cache
-def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
+def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
     scope = {
-        "record": make_bsdf(config.bsdfs).record,
+        "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
         "VertexAdjoint": VertexAdjoint,
         "anchor": anchor,
@@ -40,7 +40,7 @@ def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
         "    a = adjoint",
         "    total = wp.float32(0.0)",
     ]
-    for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
+    for k, (slot, values) in enumerate(zip(surfaces.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
             scope[f"push_{k}"] = make_reader_sink(role, slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
             value = f"m.{slot.name}" if slot.color else f"wp.vec3(m.{slot.name}, 0.0, 0.0)"
@@ -58,30 +58,39 @@ def make_material_sink(config: PathConfig, wanted: GradientRequest, role: str):
 
 
 @functools.cache
-def make_light_sink(config: PathConfig, wanted: GradientRequest, role: str, links: bool = True):
+def make_light_sink(
+    surfaces: SurfaceConfig, lights: LightConfig, wanted: GradientRequest, role: str, links: bool = True
+):
     """Return ``accumulate_light(scene, target, vertex, x, f, w_f, a_wo, w) -> (adjoint of x, float)``.
 
     ``radiance_of(scene, vertex, x)`` beside it gives the attached radiance of the sampled light. ``links=False``: the
     connection with a point of an area light is the caller's to pull.
     """
     corners = wanted.texcoords or (links and wanted.shapes)
-    light_uv = make_light_uv(config.shining)
-    emitted = make_area(config.area, config.shining).emitted if config.area else None
-    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
-    sample = lights.sample if lights else None
-    sample_vjp = lights.sample_vjp if lights else None
-    environment_vjp = lights.environment_vjp if lights else None
-    environment_eval = lights.environment_eval if lights else None
-    has_area = bool(config.area)
+    light_uv = make_light_uv(lights.shining)
+    emitted = make_area(lights.area, lights.shining).emitted if lights.area else None
+    others = make_lights(lights.others, role, wanted.lights) if lights.others else None
+    sample = others.sample if others else None
+    sample_vjp = others.sample_vjp if others else None
+    environment_vjp = others.environment_vjp if others else None
+    environment_eval = others.environment_eval if others else None
+    has_area = bool(lights.area)
     has_environment = environment_eval is not None
     has_delta_lights = sample_vjp is not None
     accumulate_radiance = (
-        make_texture_sink(role, config.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
+        make_texture_sink(role, lights.area, True, wanted.to_uv, wanted.texcoords) if has_area else None
     )
     accumulate_vertex = make_adjoint_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, False, config.primitives
+        role,
+        surfaces.smooth,
+        surfaces.flat,
+        surfaces.uv,
+        surfaces.tangent,
+        wanted.texcoords,
+        False,
+        surfaces.primitives,
     )
-    position, cross_of = make_position(config.primitives)
+    position, cross_of = make_position(surfaces.primitives)
 
     @wp.func
     def radiance_of(scene: Scene, vertex: PathVertex, x: wp.vec3) -> wp.vec3:

@@ -57,33 +57,44 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     mode it returns the derivative of the sample.
     ``finish_vertex(scene, target, carry, by_ray) -> Carry``: scatter the adjoint of one vertex.
     """
-    interaction = make_interaction(config)
+    interaction = make_interaction(config.surfaces, config.lights)
     material_record = interaction.bsdf.record
     add_materials = interaction.bsdf.algebra.add
     scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
-    glossy, still = interaction.bsdf.glossy, make_tilts(config).still
+    glossy, still = interaction.bsdf.glossy, make_tilts(config.surfaces).still
     has_smooth = interaction.eval is not None
-    accumulate_material = make_material_sink(config, wanted, role)
-    frame_vjp = make_frame_vjp(config.tangent)
-    has_lights = direct and bool(config.area or config.lights) and has_smooth
-    radiance_of, accumulate_light = make_light_sink(config, wanted, role, links) if has_lights else (None, None)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
+    has_lights = direct and bool(config.lights.area or config.lights.others) and has_smooth
+    radiance_of, accumulate_light = (
+        make_light_sink(config.surfaces, config.lights, wanted, role, links) if has_lights else (None, None)
+    )
     accumulate_vertex = make_adjoint_sink(
-        role, config.smooth, config.flat, config.uv, config.tangent, wanted.texcoords, True, config.primitives
+        role,
+        config.surfaces.smooth,
+        config.surfaces.flat,
+        config.surfaces.uv,
+        config.surfaces.tangent,
+        wanted.texcoords,
+        True,
+        config.surfaces.primitives,
     )
-    position, cross_of = make_position(config.primitives)
-    has_sliding, has_flowing = has_slides(config.primitives), has_flow(config.primitives)
+    position, cross_of = make_position(config.surfaces.primitives)
+    has_sliding, has_flowing = has_slides(config.surfaces.primitives), has_flow(config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
-    emission = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
+    emission = bool(config.lights.area) and (wanted.radiance or wanted.to_uv or wanted.geometry)
     accumulate_emission = (
-        make_texture_sink(role, config.area, wanted.radiance, wanted.to_uv, wanted.geometry) if emission else None
+        make_texture_sink(role, config.lights.area, wanted.radiance, wanted.to_uv, wanted.geometry)
+        if emission
+        else None
     )
-    lights = make_lights(config.lights, role, wanted.lights) if config.lights else None
+    lights = make_lights(config.lights.others, role, wanted.lights) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
     environment = environment_vjp is not None and (bool(wanted.lights) or wanted.geometry)
     geometry = wanted.geometry
     weight_before, weight_of_light = (
-        make_contact_weights(config.ray_backend, config.ray_width, config.primitives)
+        make_contact_weights(config.rays.backend, config.rays.width, config.surfaces.primitives)
         if links
         else (no_weight_before, no_weight_of_light)
     )
@@ -91,7 +102,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
     materials = any(wanted.material) or wanted.to_uv or aims
     light_terms = materials or wanted.radiance or bool(wanted.lights)
-    area_radiance = bool(config.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
+    area_radiance = bool(config.lights.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
     transmittance = make_transmittance_sink(config, wanted, role) if config.through and has_lights else None
     accumulate_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
 
@@ -291,7 +302,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                 total += dot
             if wp.static(geometry):
                 adjoint.n = frame.side * a_frame_n
-                if wp.static(config.tangent):
+                if wp.static(config.surfaces.tangent):
                     adjoint.tangent = a_tangent
                 # wi = normalize(x_{n-1} - x_n).
                 result.a_x = normalize_vjp(wi_world, wp.length(vertex.o - surface.x), a_wi_world)

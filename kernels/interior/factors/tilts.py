@@ -9,7 +9,7 @@ from warp_psdr.kernels.bsdf.dispatch import make_bsdf, models_of
 from warp_psdr.kernels.bsdf.record import Slot
 from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import SurfaceConfig
 from warp_psdr.kernels.vertex_motion import VertexTangent
 
 
@@ -38,16 +38,16 @@ def tilts(slot: Slot, bsdfs: tuple[str, ...]) -> bool:
     return any(model.glossy and slot.name in model.tilts for model in models_of(bsdfs))
 
 
-def tilting_values(config: PathConfig, wanted: GradientRequest) -> tuple[bool, ...]:
-    """Return which of the requested values turn normals of glossy lobes, an answer for each of ``config.material``."""
-    return tuple(w and tilts(slot, config.bsdfs) for slot, w in zip(config.material, wanted.material, strict=True))
+def tilting_values(surfaces: SurfaceConfig, wanted: GradientRequest) -> tuple[bool, ...]:
+    """Return which of the requested values turn normals of glossy lobes, one for each of ``SurfaceConfig.material``."""
+    return tuple(w and tilts(slot, surfaces.bsdfs) for slot, w in zip(surfaces.material, wanted.material, strict=True))
 
 
 @functools.cache
-def make_tilts(config: PathConfig) -> Tilts:
+def make_tilts(surfaces: SurfaceConfig) -> Tilts:
     """Return the functions for the material values of a scene."""
-    record = make_bsdf(config.bsdfs).record
-    names = [slot.name for slot in config.material if tilts(slot, config.bsdfs)]
+    record = make_bsdf(surfaces.bsdfs).record
+    names = [slot.name for slot in surfaces.material if tilts(slot, surfaces.bsdfs)]
     only = "def only_tilts(m: record) -> record:\n    r = record()\n"
     only += "".join(f"    r.{name} = m.{name}\n" for name in names) + "    return r\n"
     still = "def still_values(m: record) -> record:\n    r = m\n    nothing = record()\n"

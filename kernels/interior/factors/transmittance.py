@@ -55,12 +55,12 @@ class TransmittanceSink(NamedTuple):
 @functools.cache
 def make_transmittance_sink(config: PathConfig, wanted: GradientRequest, role: str) -> TransmittanceSink:
     """Return the functions; arguments as ``make_sweep``'s."""
-    visibility = visibility_of(config)
-    interaction = make_interaction(config)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     passage = make_passage(config, True)
-    delta_sample = make_delta_sample(config.lights)
-    accumulate_material = make_material_sink(config, wanted, role)
+    delta_sample = make_delta_sample(config.lights.others)
+    accumulate_material = make_material_sink(config.surfaces, wanted, role)
 
     @wp.func
     def segment_to_light(scene: Scene, at: record, vertex: PathVertex) -> LightSegment:

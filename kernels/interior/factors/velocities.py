@@ -15,7 +15,7 @@ from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.gradient import make_reader_sink
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import SurfaceConfig
 from warp_psdr.kernels.vertex_motion import VertexTangent
 
 
@@ -66,10 +66,10 @@ def make_texture_jvp(kinds: tuple[int, ...], rises: bool, values: bool, to_uv: b
 
 
 @functools.cache
-def make_material_jvp(config: PathConfig, wanted: GradientRequest):
+def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest):
     """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values."""
     scope = {
-        "record": make_bsdf(config.bsdfs).record,
+        "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
         "VertexTangent": VertexTangent,
         "anchor": anchor,
@@ -83,7 +83,7 @@ def make_material_jvp(config: PathConfig, wanted: GradientRequest):
         "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
         "    m = record()",
     ]
-    for k, (slot, values) in enumerate(zip(config.material, wanted.material, strict=True)):
+    for k, (slot, values) in enumerate(zip(surfaces.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
             scope[f"jvp_{k}"] = make_texture_jvp(slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
             value = f"jvp_{k}(scene, tangents, i{k}, face, u, v, uv, vertex)" + ("" if slot.color else "[0]")

@@ -36,7 +36,7 @@ Traced = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 def uniform_share(r: Request) -> float:
     """Share of the samples whose direction is uniform in the wedge, unguided: all but what only aiming can reach."""
-    return POINT_LIKE_SHARE if set(r.config.lights) & DELTA_LIGHTS else 1.0
+    return POINT_LIKE_SHARE if set(r.config.lights.others) & DELTA_LIGHTS else 1.0
 
 
 def asker(r: Request) -> Callable[[str, Edges], np.ndarray]:

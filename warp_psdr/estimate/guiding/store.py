@@ -95,7 +95,10 @@ def forget(r: Request, method: Method, name: str) -> None:
 
 def kernels(r: Request) -> list[wp.Kernel]:
     """Return the kernels that build structures for a boundary term: the integrand, and what faces the lights."""
-    return [make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect), make_facing_kernel(r.config)]
+    return [
+        make_secondary_kernel(r.config, "target", False, False, indirect=r.indirect),
+        make_facing_kernel(r.config.lights),
+    ]
 
 
 def key_of(r: Request, method: Method, name: str) -> tuple:

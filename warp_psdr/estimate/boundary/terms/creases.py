@@ -15,7 +15,7 @@ def applies(r: Request) -> bool:
     """Whether there are interpolated normals, surfaces scatter light, and points do not stay beside creases."""
     if r.config.material_first:
         return False
-    return r.config.smooth and r.config.scatter and bool(r.scene.builder.emitters) and r.scatters_smoothly
+    return r.config.surfaces.smooth and r.config.scatter and bool(r.scene.builder.emitters) and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.edge_sampling.edge_sampling import make_edge_sampling_kernel
@@ -32,7 +30,7 @@ def launch(r: Request) -> Term | None:
     if edges is None:
         return None
     spp = r.method.spp_secondary or r.spp
-    walk = replace(r.plan.config, area=(), lights=())
+    walk = r.plan.config.unlit()
     candidates = candidates_of(r.method)
     kernel = make_edge_sampling_kernel(r.config, walk, r.role, r.moves.camera, r.method.tree, candidates, r.indirect)
     head = [r.scene.data(), r.camera, edges, edge_trees(r.scene, edges)]

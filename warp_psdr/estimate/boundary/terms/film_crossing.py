@@ -14,7 +14,7 @@ def applies(r: Request) -> bool:
 
     Properties do not jump there: both surfaces pass through the point, and normals are those of meshes.
     """
-    return not r.config.shown and bool(r.config.primitives) and bool(r.moves.shapes or r.moves.camera)
+    return not r.config.shown and bool(r.config.surfaces.primitives) and bool(r.moves.shapes or r.moves.camera)
 
 
 def launch(r: Request) -> Term | None:

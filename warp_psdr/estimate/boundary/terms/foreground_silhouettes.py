@@ -26,7 +26,7 @@ def applies(family: Family, r: Request) -> bool:
     if not secondary_silhouettes.applies(family, r) or 0 <= r.plan.max_depth < SHORTEST:
         return False
     # It is a part of form S: vertices that flow along normals have none.
-    return not (family.flows and has_flow(r.config.primitives))
+    return not (family.flows and has_flow(r.config.surfaces.primitives))
 
 
 def launch_items(r: Request, term: BoundaryTerm, touch: str, found: Any, shares: Shares) -> Term | None:

@@ -15,7 +15,7 @@ from warp_psdr.topology.kinds.grids import GRID, POSES
 
 def applies(r: Request) -> bool:
     """Whether there are such lights, and anything moves."""
-    return bool(DELTA_LIGHTS & set(r.config.lights)) and secondary_silhouettes.applies(GRID, r)
+    return bool(DELTA_LIGHTS & set(r.config.lights.others)) and secondary_silhouettes.applies(GRID, r)
 
 
 def launch(r: Request) -> Term | None:

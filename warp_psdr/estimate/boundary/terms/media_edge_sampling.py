@@ -31,7 +31,7 @@ def launch(r: Request) -> Term | None:
     if edges is None:
         return None
     spp = r.method.spp_secondary or r.spp
-    walk = replace(r.plan.config, area=(), lights=(), media=replace(r.config.media, emissive=False))
+    walk = replace(r.plan.config.unlit(), media=replace(r.config.media, emissive=False))
     kept = keep_blocks(interior.Replay(), r.plan.max_depth, r.rr_depth)
     kernel = make_media_edge_sampling_kernel(
         r.config,

@@ -14,7 +14,7 @@ from warp_psdr.topology.kinds.table import FAMILIES
 
 def applies(family: Family, r: Request) -> bool:
     """Whether there are shapes of a family, and they or the camera move."""
-    return family.is_in(r.config.primitives) and bool(r.moves.shapes or r.moves.camera)
+    return family.is_in(r.config.surfaces.primitives) and bool(r.moves.shapes or r.moves.camera)
 
 
 def samples_of(r: Request, shares: Shares) -> int:

@@ -216,7 +216,7 @@ def film_edges_of(r: Request) -> FilmEdges:
         r.sensor,
         shapes,
         camera_moves=r.view_moves,
-        hide_emitters=r.config.hidden,
+        hide_emitters=r.config.rays.hidden,
         of_radiance=not r.config.shown,
     )
 

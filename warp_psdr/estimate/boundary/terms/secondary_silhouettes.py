@@ -21,7 +21,7 @@ from warp_psdr.topology.kinds.table import FAMILIES
 
 def applies(family: Family, r: Request) -> bool:
     """Whether light is scattered beside shapes of a family, and anything moves."""
-    return family.is_in(r.config.primitives) and r.lit and r.moves.edges and r.scatters_smoothly
+    return family.is_in(r.config.surfaces.primitives) and r.lit and r.moves.edges and r.scatters_smoothly
 
 
 def samples_of(r: Request, shares: Shares) -> int:

@@ -12,7 +12,7 @@ from warp_psdr.topology.faces import face_tables
 
 def applies(r: Request) -> bool:
     """Whether there is a mirror or glass."""
-    return r.config.scatter and has_delta_lobes(r.config.bsdfs) and bool(r.scene.face_count)
+    return r.config.scatter and has_delta_lobes(r.config.surfaces.bsdfs) and bool(r.scene.face_count)
 
 
 def launch(r: Request) -> Term | None:

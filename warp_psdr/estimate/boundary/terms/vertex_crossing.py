@@ -12,9 +12,9 @@ from warp_psdr.topology.crossings import crossings
 
 def applies(r: Request) -> bool:
     """Whether light can come from, or be scattered at, such a vertex, and anything moves."""
-    if not r.config.primitives or r.plan.max_depth == 1 or not r.scene.builder.emitters or not r.moves.edges:
+    if not r.config.surfaces.primitives or r.plan.max_depth == 1 or not r.scene.builder.emitters or not r.moves.edges:
         return False
-    return (r.plan.max_depth != 2 or bool(r.config.area)) and r.scatters_smoothly
+    return (r.plan.max_depth != 2 or bool(r.config.lights.area)) and r.scatters_smoothly
 
 
 def launch(r: Request) -> Term | None:
