@@ -75,6 +75,9 @@ DEVICE_RULES = (
 #: A scene's record holds the handle of its ray structure; bundles of rays are made of the records of lanes.
 DEVICE_EXCEPTIONS = {("structs", "bvh.wide"), ("bvh.bundle", "lanes.lanes"), ("bvh.each", "lanes.lanes")}
 
+#: Factories with a wide signature, which one that chooses among several calls like the others (``interior.replay``).
+ONE_OF_SEVERAL = {"make_material_sweep"}
+
 DEVICE_FILES = sorted((ROOT / "kernels").rglob("*.py"))
 HOST_FILES = sorted((ROOT / "warp_psdr").rglob("*.py"))
 ALL_FILES = sorted(path for top in ("kernels", "warp_psdr", "tests", "examples") for path in (ROOT / top).rglob("*.py"))
@@ -262,6 +265,21 @@ def global_state_changes(source: str) -> Iterator[str]:
                 yield f"line {node.lineno}: {ast.unparse(node)}"
 
 
+def wide_signatures(source: str) -> Iterator[str]:
+    """Factories that take a whole ``PathConfig``, hand it to nobody and read at most two of its members."""
+    for function in parsed(source).body:
+        if not isinstance(function, ast.FunctionDef) or function.name in ONE_OF_SEVERAL:
+            continue
+        for arg in function.args.args:
+            if arg.annotation is None or ast.unparse(arg.annotation) != "PathConfig":
+                continue
+            nodes = list(ast.walk(function))
+            uses = sum(isinstance(node, ast.Name) and node.id == arg.arg for node in nodes)
+            reads = [n.attr for n in nodes if isinstance(n, ast.Attribute) and ast.unparse(n.value) == arg.arg]
+            if len(reads) == uses and len(set(reads)) <= 2:
+                yield f"line {function.lineno}: {function.name} reads {', '.join(sorted(set(reads)))}"
+
+
 def broken_by(check: Callable[[str], Iterable[str]], files: list[Path]) -> dict[str, list[str]]:
     """What a rule finds in files, by the names of those that break it."""
     found = {names(path): list(check(path.read_text())) for path in files}
@@ -282,6 +300,11 @@ def test_local_records_are_not_named_like_warps_numbers() -> None:
     # would have one name where the functions it shares were compiled and another where they came from the cache, and
     # the second start would compile again (``tests/test_kernel_names.py``).
     assert broken_by(shadowed_constants, DEVICE_FILES) == {}
+
+
+def test_signatures_say_what_factories_read() -> None:
+    # Could the factory take the groups or the values instead?
+    assert broken_by(wide_signatures, DEVICE_FILES) == {}
 
 
 def test_host_code_leaves_warps_global_state_alone() -> None:
@@ -412,6 +435,7 @@ def test_there_are_files_to_check() -> None:
         (misplaced_statements, "print('loaded')"),
         (misplaced_statements, "class Options:\n    pass"),
         (shadowed_constants, "def f(scene):\n    e = scene.emitters[0]\n    return e.kind"),
+        (wide_signatures, "def make_f(config: PathConfig):\n    return make_g(config.surfaces, config.rays.width)"),
         (global_state_changes, "wp.config.quiet = True"),
         (global_state_changes, "def f():\n    warp.config.mode = 'debug'"),
         (global_state_changes, "wp.set_device('cpu')"),
@@ -428,6 +452,8 @@ def test_each_rule_finds_what_breaks_it(check, source: str) -> None:
         (foreign_imports, "import math\nimport warp as wp\nfrom warp_psdr.kernels.structs import Scene"),
         (misplaced_statements, '"""Doc."""\nPI = 3.14\nA, B = 1, 2\n@wp.struct\nclass S:\n    x: wp.vec3'),
         (shadowed_constants, "def f(e, n):\n    e.kind = n.kind\n    n = 1\n    return n.kind + math.pi"),
+        (wide_signatures, "def make_f(config: PathConfig):\n    return make_g(config, config.sampler)"),
+        (wide_signatures, "def make_f(c: PathConfig):\n    return make_g(c.surfaces, c.lights, c.rays)"),
         (global_state_changes, "device = wp.get_device()\nconfig = wp.config.version"),
     ],
 )
