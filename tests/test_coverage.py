@@ -13,7 +13,7 @@ from warp_psdr.plan.transient import shape_of
 
 ROWS = [(kind, "") for kind in KINDS] + [("mesh", effect) for effect in EFFECTS]
 #: Cells of the fast set: few kernels, and one of each form of motion.
-FAST = {("mesh", "", "pose"), ("mesh", "", "material"), ("exact sphere", "", "material"), ("sdfgrid", "", "values")}
+FAST = {("mesh", "", "pose"), ("mesh", "", "material"), ("exact sphere", "", "material"), ("sdfgrid", "", "material")}
 #: Effects that leave one pixel, whose single sample may meet nothing that moves.
 ONE_PIXEL = ("radiancemeter", "irradiancemeter")
 
