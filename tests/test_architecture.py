@@ -50,7 +50,7 @@ HOST_LAYERS = (
     {"options"},
     {"scene"},
     {"topology"},
-    {"plan"},
+    {"plan", "rows"},
     {"estimate"},
     {"accuracy", "boundary", "guiding", "interior", "optim", "sdf", "view"},
     {"render"},
@@ -323,6 +323,16 @@ def test_few_files_name_a_kind_of_shapes(top: str) -> None:
     files = [path for path in (ROOT / top).rglob("*.py") if path.parent not in rooms]
     naming = [names(path) for path in files if NAMES_OF_KINDS[top].search(path.read_text())]
     assert 0 < len(naming) <= MOST_NAMING[top], naming
+
+
+def test_what_is_written_once_stays_short() -> None:
+    # Terms of silhouettes are three kernels and what families of shapes tell them; a plan compares words.
+    silhouettes = [f for f in DEVICE_FILES if re.fullmatch(r"primary|secondary|foreground|\w+_touch", f.stem)]
+    silhouettes = [f for f in silhouettes if f.parent.name == "silhouette"]
+    plan = list((ROOT / "warp_psdr/plan").glob("*.py"))
+    assert len(silhouettes) == 6 and sum(len(f.read_text().splitlines()) for f in silhouettes) <= 1150
+    assert len(plan) > 9 and sum(len(f.read_text().splitlines()) for f in plan) <= 2500
+    assert len(list((ROOT / "warp_psdr/estimate/boundary/terms").glob("*.py"))) <= 29
 
 
 def test_dispatch_is_generated() -> None:

@@ -12,8 +12,8 @@ import warp as wp
 
 import warp_psdr as psdr
 from warp_psdr import compiler
-from warp_psdr.plan import interior
 from warp_psdr.quiet import quiet
+from warp_psdr.rows import table as interior
 from warp_psdr.scene.acceleration import Accelerator
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -15,7 +15,7 @@ from warp_psdr.kernels import path as path_module
 from warp_psdr.kernels.bsdf import dispatch
 from warp_psdr.kernels.bsdf.model import Model
 from warp_psdr.kernels.primal import make_primal_kernel
-from warp_psdr.plan.interior import TABLE, row_of
+from warp_psdr.rows.table import TABLE, row_of
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=4, boundary=None)
 #: Words of models that a scene of diffuse surfaces and one area light has no use for.

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.jobs import PixelJob
     from warp_psdr.kernels.structs import Camera
     from warp_psdr.plan.plan import Plan
-    from warp_psdr.plan.replay import Kept
+    from warp_psdr.rows.replay import Kept
     from warp_psdr.scene.scene import Scene
 
 #: Random-number streams: the primal image, the interior and the boundary term are independent of each other.

@@ -252,7 +252,7 @@ class SignedDistance(Distances):
     The method is unbiased without ``max_steps``. It serves one exact sphere, ``sdfgrid`` with cubic interpolation or
     ``neuralsdf`` that moves or changes, alone under a sky or with flat surfaces around it under a flat area light, in
     direct light (``max_depth`` 1 or 2). It refuses other motions, and discontinuities of other shapes within sight
-    (``warp_psdr/plan/reparametrised.py``).
+    (``warp_psdr/rows/reparametrised.py``).
     """
 
 
@@ -326,7 +326,7 @@ class WarpedArea(Reparametrised, WeightedRays):
     ``debias``, for triangle meshes without interpolated normals that move under area lights and skies before a
     perspective camera at rest, at most 16 path vertices. Hard shadows, mirrors and glass, media, shapes without
     triangles, shapes that touch or run through each other, and textures with steps are refused
-    (``warp_psdr/plan/warped_area.py``).
+    (``warp_psdr/rows/warped_area.py``).
     """
 
 

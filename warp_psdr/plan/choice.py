@@ -17,9 +17,9 @@ from warp_psdr.kernels.interior.factors.mixtures import mixed_values
 from warp_psdr.kernels.interior.factors.shape_parameters import branched_values, unsplit_values
 from warp_psdr.kernels.interior.factors.tilts import tilting_values
 from warp_psdr.options.interior import Branches, Method, Replay
-from warp_psdr.plan.branches import drawn_by_choice, refused_by_antithetic, refused_by_branches, rest_of
-from warp_psdr.plan.interior import row_of
-from warp_psdr.plan.replay import is_asked
+from warp_psdr.rows.branches import drawn_by_choice, refused_by_antithetic, refused_by_branches, rest_of
+from warp_psdr.rows.replay import is_asked
+from warp_psdr.rows.table import row_of
 from warp_psdr.scene.layout import CAMERA, MATERIAL, NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 
 if TYPE_CHECKING:

@@ -13,10 +13,11 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
-from warp_psdr.plan import discontinuities, media, primitives, reparametrised
+from warp_psdr.plan import discontinuities, media, primitives
 from warp_psdr.plan.discontinuities import Asked
 from warp_psdr.plan.motion import Motion, motion
 from warp_psdr.plan.needs import has_steps, needs, unknown_to_boundary
+from warp_psdr.rows import reparametrised
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.scene.media.volume_pose import of

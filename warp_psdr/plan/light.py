@@ -19,7 +19,7 @@ from warp_psdr.options import interior
 from warp_psdr.plan.coverage import edge_of_light
 from warp_psdr.plan.motion import motion, moves_vertices
 from warp_psdr.plan.needs import unknown
-from warp_psdr.plan.replay import MOST_KEPT, Kept, keep_blocks
+from warp_psdr.rows.replay import MOST_KEPT, Kept, keep_blocks
 from warp_psdr.scene.layout import LIGHT_POSE
 from warp_psdr.topology.behind_glass import lights_behind_glass
 

@@ -17,14 +17,15 @@ from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, Surface
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, reparametrised, transient
+from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, transient
 from warp_psdr.plan.coverage import choose, edge_of_light, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
-from warp_psdr.plan.interior import row_of
 from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
+from warp_psdr.rows import reparametrised
+from warp_psdr.rows.table import row_of
 from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.layout import (
     CAMERA,

@@ -118,7 +118,7 @@ def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
     """Say what shapes without triangles keep the boundary term from being estimated; empty: nothing."""
     moves_rays = isinstance(integrator.boundary, Reparametrised)
     resting = has_sliding(config.surfaces.primitives)
-    if not config.surfaces.primitives or (resting and moves_rays):  # ``plan/reparametrised.py`` says what these do
+    if not config.surfaces.primitives or (resting and moves_rays):  # ``rows/reparametrised.py`` says what these do
         return ""
     reason = _of_mirrors(scene) if has_delta_lobes(config.surfaces.bsdfs) and not moves_rays else ""
     if reason or not resting:

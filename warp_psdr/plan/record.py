@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.boundary import Method
-    from warp_psdr.plan.interior import Row
     from warp_psdr.plan.light import LightTracing
-    from warp_psdr.plan.replay import Kept
+    from warp_psdr.rows.replay import Kept
+    from warp_psdr.rows.table import Row
     from warp_psdr.scene.description import TimeBins
 
 

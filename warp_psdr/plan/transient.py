@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from warp_psdr.kernels.primitive.dispatch import has_sliding
 from warp_psdr.kernels.sensor.time_gate import PULSE_BOX, PULSE_DELTA, PULSE_GAUSSIAN, TimeGates
-from warp_psdr.plan.replay import MOST_KEPT
+from warp_psdr.rows.replay import MOST_KEPT
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest

@@ -14,7 +14,7 @@ from warp_psdr.options.boundary import (
     WarpedArea,
 )
 from warp_psdr.options.words import words
-from warp_psdr.plan import reparametrised, warped_area
+from warp_psdr.rows import reparametrised, warped_area
 
 
 def applies(r: Request) -> bool:

@@ -10,7 +10,7 @@ from warp_psdr.kernels.boundary.edge_sampling.media_edge_sampling import make_me
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import EdgeSampling
 from warp_psdr.options.words import words
-from warp_psdr.plan.replay import keep_blocks
+from warp_psdr.rows.replay import keep_blocks
 from warp_psdr.topology.edge_trees import edge_trees
 from warp_psdr.topology.edges_there import secondary_edges_there
 

@@ -6,8 +6,8 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.warped_area.auxiliary import WarpedOptions
 from warp_psdr.kernels.boundary.warped_area.path_warped_area import make_path_warped_area_kernel
 from warp_psdr.options.boundary import PathWarpedArea
-from warp_psdr.plan.replay import moved_request
-from warp_psdr.plan.warped_area import compiled, kept_vertices
+from warp_psdr.rows.replay import moved_request
+from warp_psdr.rows.warped_area import compiled, kept_vertices
 
 
 def launch(r: Request) -> Term:

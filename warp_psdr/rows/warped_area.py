@@ -19,7 +19,7 @@ from warp_psdr.kernels.boundary.warped_area.warped_area import make_warped_area_
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import AuxiliaryRays, Rotation, WeightedRays
 from warp_psdr.plan.motion import motion
-from warp_psdr.plan.replay import Kept
+from warp_psdr.rows.replay import Kept
 from warp_psdr.topology import contacts
 from warp_psdr.topology.clip_planes import require_uncut
 from warp_psdr.topology.intersection_curves import scene_curves

@@ -28,8 +28,9 @@ from warp_psdr.kernels.interior.radiative import make_radiative_kernel
 from warp_psdr.kernels.interior.textbook import make_textbook_kernel
 from warp_psdr.kernels.transfer.radiative_transfer import make_transfer_kernel
 from warp_psdr.options import boundary, interior
-from warp_psdr.plan.attached import refused_by_attached
-from warp_psdr.plan.branches import (
+from warp_psdr.plan.motion import moves_in_media
+from warp_psdr.rows.attached import refused_by_attached
+from warp_psdr.rows.branches import (
     branch_kernels,
     decomposed_kernels,
     keep_branches,
@@ -42,10 +43,9 @@ from warp_psdr.plan.branches import (
     refused_by_resampled,
     resampled_kernels,
 )
-from warp_psdr.plan.film_antithetic import refused_on_the_film, sees_a_room
-from warp_psdr.plan.motion import moves_in_media
-from warp_psdr.plan.reparametrised import make_reparametrised
-from warp_psdr.plan.replay import (
+from warp_psdr.rows.film_antithetic import refused_on_the_film, sees_a_room
+from warp_psdr.rows.reparametrised import make_reparametrised
+from warp_psdr.rows.replay import (
     MOST_KEPT,
     SHORT,
     Kept,
@@ -57,8 +57,8 @@ from warp_psdr.plan.replay import (
     replayed,
     without,
 )
-from warp_psdr.plan.transfer import has_film_edges, refused_by_transfer, refused_in_scene, sphere_edges
-from warp_psdr.plan.warped_area import keep_warped, make_warped
+from warp_psdr.rows.transfer import has_film_edges, refused_by_transfer, refused_in_scene, sphere_edges
+from warp_psdr.rows.warped_area import keep_warped, make_warped
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig

@@ -22,8 +22,8 @@ from warp_psdr.kernels.boundary.warped_area.rotation import RotationOptions
 from warp_psdr.kernels.primitive.kind import FLOWS
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import AuxiliaryRays, Distances, Method, NeuralSignedDistance, Reparametrised
-from warp_psdr.plan import warped_area
 from warp_psdr.plan.motion import motion
+from warp_psdr.rows import warped_area
 from warp_psdr.scene.kinds.neuralsdf import Network, bound_slopes, network_and_cells
 from warp_psdr.scene.kinds.zero_set import CORNERS, ZeroSet
 from warp_psdr.topology.camera_view import camera_view
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.options.integrator import PathIntegrator
-    from warp_psdr.plan.replay import Kept
+    from warp_psdr.rows.replay import Kept
     from warp_psdr.scene.scene import Scene
 
 #: Difference of the lengths of a pose's axes, over their length, up to which it is a similarity.

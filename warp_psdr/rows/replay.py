@@ -20,7 +20,7 @@ from warp_psdr.plan.motion import moves_in_media
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
-    from warp_psdr.plan.reparametrised import RotationOptions, WarpedOptions, WarpOptions
+    from warp_psdr.rows.reparametrised import RotationOptions, WarpedOptions, WarpOptions
 
 #: Vertices after which a path without depth limit is cut, counted from where Russian roulette begins: it survives with
 #: probability 0.95 at most, so fewer than one path in 10^11 is that long.

@@ -18,7 +18,7 @@ from warp_psdr.kernels.interior.phase_branch import make_phase_branch_kernel
 from warp_psdr.kernels.medium.coefficients import PHASE
 from warp_psdr.options import interior
 from warp_psdr.options.words import WORDS
-from warp_psdr.plan.replay import Kept, keep_blocks, replayed, without
+from warp_psdr.rows.replay import Kept, keep_blocks, replayed, without
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
