@@ -325,6 +325,14 @@ difference = (draw(load(STEP, exact=True)) - draw(load(-STEP, exact=True))) / (2
 inside = psdr.PathIntegrator(max_depth=2, boundary=None)
 rest = psdr.render_forward(scene, params, {"bowl.to_world": tangent}, integrator=inside, spp=2048).numpy()
 triangles = draw(load(resolution=96))
+sunk = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective", "to_world": view, "film": film},
+                       "bowl": {"type": "bowl", "exact": True},
+                       "floor": {"type": "rectangle", "to_world": T.translate([0, 0, 0.5]) @ T.scale(3.0)}})
+try:
+    psdr.plan(sunk, integrator=options["integrator"], names=["bowl.to_world"])
+    refused = ""
+except ValueError as error:
+    refused = str(error)
 json.dump({
     "image": float(image.mean()),
     "off": float(np.abs(image - triangles).mean()),
@@ -332,6 +340,7 @@ json.dump({
     "forward": float((weight * forward).sum()),
     "difference": float((weight * difference).sum()),
     "interior": float((weight * rest).sum()),
+    "refused": refused,
 }, sys.stdout)
 """
 
@@ -364,6 +373,7 @@ def test_a_file_and_a_row_on_either_side_add_a_kind(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr[-2000:]
     found = json.loads(done.stdout.splitlines()[-1])
     assert found["off"] < 0.01 * found["image"]
+    assert "'floor' reaches into the box around 'bowl'" in found["refused"]
     # Without silhouettes and shadows the slope is another one.
     assert abs(found["interior"] - found["difference"]) > 0.2 * abs(found["difference"])
     assert np.isclose(found["forward"], found["difference"], rtol=0.05)

@@ -25,6 +25,12 @@ def _items(scene: Scene, shapes: list[int], share: float) -> OutlineItems | None
     return items
 
 
+def _require_uncut(scene: Scene, sensor: int, shapes: list[int]) -> None:
+    """Raise if a clip plane cuts one of some shapes; where none has an outline of its own, none is looked at."""
+    if outlines(scene, frozenset(shapes)) is not None:
+        require_uncut(scene, sensor, frozenset(shapes))
+
+
 EXACT = Family(
     touch="exact",
     term="silhouette",
@@ -36,6 +42,6 @@ EXACT = Family(
     shapes=exact_shapes,
     seen=lambda scene, shapes, _sensor, _creases: _items(scene, shapes, 1.0),
     touched=lambda scene, own_share, _creases: _items(scene, exact_shapes(scene), own_share),
-    require_uncut=lambda scene, sensor, shapes: require_uncut(scene, sensor, frozenset(shapes)),
+    require_uncut=_require_uncut,
     methods=(PathSpace, Projective),
 )
