@@ -1,12 +1,12 @@
 """The sinks for partial derivatives of local factors, in reverse and in forward mode.
 
 Reverse mode adds ``value`` to the gradient at ``offset``, in double precision: ``target`` is then the memory of float64
-sums under the type of forward mode's float32 tangents (``warp_psdr/gradient_sums.py``). (A float32 sum of n equal terms
-has a relative error of n 2^-25, and stops growing after 2^24 of them.) Forward mode returns ``value`` times the tangent
-there, and the caller sums the results. A value that is not finite is dropped in reverse mode, where the sink returns 1
-for it and 0 otherwise: the sum is the number of values that a sample lost. In forward mode the sum itself is not
-finite. Both modes use one flat array, laid out like ``Scene.values``. When the boundary term records its samples, the
-sinks keep derivatives by edge points (``boundary/local_form.py``) and drop all others.
+sums under the type of forward mode's float32 tangents (``warp_psdr/estimate/gradient_sums.py``). (A float32 sum of n
+equal terms has a relative error of n 2^-25, and stops growing after 2^24 of them.) Forward mode returns ``value`` times
+the tangent there, and the caller sums the results. A value that is not finite is dropped in reverse mode, where the
+sink returns 1 for it and 0 otherwise: the sum is the number of values that a sample lost. In forward mode the sum
+itself is not finite. Both modes use one flat array, laid out like ``Scene.values``. When the boundary term records its
+samples, the sinks keep derivatives by edge points (``boundary/local_form.py``) and drop all others.
 """
 
 import functools

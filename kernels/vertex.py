@@ -62,7 +62,7 @@ class RayConfig:
 
     backend: str
     width: int
-    #: True: there are area lights, which the camera does not see (``sight.py``).
+    #: True: there are area lights, which the camera does not see (``visibility.py``).
     hidden: bool = False
 
 

@@ -1,7 +1,7 @@
 """A point of an edge as the camera sees it: its image on the film, its visibility, and the sink of its adjoint.
 
-The estimators of jumps across edges on the film (``primary.py``, ``flat_creases.py``) share this file. They differ in
-how they estimate the jump.
+The estimators of jumps across edges on the film (``path_space/primary.py``, ``path_space/flat_creases.py``) share this
+file. They differ in how they estimate the jump.
 """
 
 import functools
@@ -83,7 +83,7 @@ def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp
 
 @functools.cache
 def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
-    """Return ``(find, accumulate, accumulate_side)`` (arguments as in ``secondary.py``).
+    """Return ``(find, accumulate, accumulate_side)`` (arguments as in ``path_space/secondary.py``).
 
     ``find(scene, camera, edges, number, samples, sampler, adjoint) -> FilmEdge`` takes the sampler's slots 0 and 1;
     ``accumulate(scene, camera, edges, sampler, samples, film_edge, jump, target, image)`` takes L_- - L_+, the

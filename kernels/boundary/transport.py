@@ -1,8 +1,8 @@
 """Transport of a boundary segment x_1 -> x_2 to the sensor: the walk from x_1, its connections, and the adjoints.
 
-The estimators of discontinuities between two path vertices share this file (``secondary.py``,
-``intersection_curve.py``, ``indirect_terminator.py``). They differ in how they find a segment and in what moves the
-discontinuity. A segment contributes the sum over k of W_k L_k: W_k is the connection of the walk's k-th vertex, and L_k
+The estimators of discontinuities between two path vertices share this file (as ``path_space/secondary.py``,
+``silhouette/secondary.py`` and ``shading_normals/indirect_terminator.py``). They differ in how they find a segment and
+in what moves the discontinuity. A segment contributes the sum over k of W_k L_k: W_k is the connection of the walk's k-th vertex, and L_k
 the radiance past the occluder behind k vertices, whose number max_depth bounds. x_1 slides along a pixel's ray for k =
 1 and is a material point for k > 1. Walk and source are independent given the segment, so one path, cut at different
 lengths, gives all L_k (``detector.Incident``). If x_2 lies on a light, L_k = E_2 + R_k: E_2 is known without a ray, and
@@ -202,8 +202,8 @@ def make_transport(
 
     Args:
         config: what the scene needs.
-        role: "reverse", "forward", "samples" or "target" (``secondary.py``); the last adds up what counts, unweighted,
-            and neither reads nor writes derivatives.
+        role: "reverse", "forward", "samples" or "target" (``path_space/secondary.py``); the last adds up what counts,
+            unweighted, and neither reads nor writes derivatives.
         camera_moves: a parameter of the camera is differentiated.
         source: ``make_source`` or its like.
         least: number of path vertices behind x_1 without which ``source`` is zero.

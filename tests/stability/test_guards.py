@@ -1,6 +1,6 @@
 """Guards of device functions, called where each is needed: without it, what comes out is not finite, or wrong.
 
-Guards of what is differentiated stand in ``test_singular.py``, those of scattering models in ``tests/test_bsdf*.py``,
+Guards of what is differentiated stand in ``test_singular.py``, those of scattering models in ``tests/bsdf``,
 those of samples that are not finite in ``tests/estimate/test_invalid.py``.
 """
 

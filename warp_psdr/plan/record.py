@@ -28,7 +28,7 @@ class Plan:
         wanted: which derivatives are compiled; None: primal only.
         max_depth: most vertices of a path, -1: no limit.
         rr_depth: depth at which Russian roulette starts.
-        interior: method of the interior term (``interior.py``); None: primal only.
+        interior: method of the interior term (``rows/table.py``); None: primal only.
         kept: what of a path it keeps.
         discontinuities: why the requested parameters move discontinuities; empty: they do not.
         lines: (item, decision, reason).

@@ -58,7 +58,7 @@ def make_jump(config: PathConfig):
 
 @functools.cache
 def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``secondary.py``).
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``).
 
     ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
     """

@@ -53,7 +53,7 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 
 @functools.cache
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``secondary.py``)."""
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     incident_radiance = make_incident_radiance(config)
     accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)

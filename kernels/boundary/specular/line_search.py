@@ -64,7 +64,10 @@ MAX_VISITS = 17
 
 @functools.cache
 def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
-    """Return the kernel of the boundary term through mirrors and glass: one thread a path (``secondary.py``)."""
+    """Return the kernel of the boundary term through mirrors and glass: one thread a path.
+
+    Arguments are those of ``path_space/secondary.py``.
+    """
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)
     identity = make_identity(config)

@@ -1,4 +1,4 @@
-"""Velocities of the values read at a path vertex, from the factors' adjoints: ``factors.py`` in forward mode.
+"""Velocities of the values read at a path vertex, from the factors' adjoints: ``sinks.py`` in forward mode.
 
 A sink in the role "forward" turns the adjoint of one colour channel into its derivative along the tangent. Three
 channels of a texture, a material or a scattering value are therefore three vector-Jacobian products.

@@ -23,8 +23,8 @@ def ordered_edges(
 ) -> tuple[Edges, np.ndarray, np.ndarray, np.ndarray]:
     """Return edges in the order of guided sampling, how far they face the lights, their numbers, and which are turned.
 
-    In chains (``guiding/chains.py``), but those that are a silhouette for no light apart from the others: next to them
-    the others would be hard to find. Edges that run against their chain are turned around.
+    The order is that of chains (``edge_chains.py``). Edges that are a silhouette for no light stand apart from the
+    others, which would be hard to find next to them. Edges that run against their chain are turned around.
 
     Args:
         scene: the scene.

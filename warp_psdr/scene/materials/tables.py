@@ -1,6 +1,6 @@
 """Tables of materials: numbers that device code reads and that follow from a material's values.
 
-A model declares a ``Table`` (``warp_psdr/kernels/bsdf/model.py``); ``MAKERS`` has the function that fills it. Tables
+A model declares a ``Table`` (``kernels/bsdf/model.py``); ``MAKERS`` has the function that fills it. Tables
 lie among the scene's values, unnamed. Before every launch ``follow`` compares the current values with those that each
 table was made from, whatever changed them. A table therefore always belongs to the values that the kernels read beside
 it.
