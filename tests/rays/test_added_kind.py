@@ -255,7 +255,6 @@ class Bowl(Exact):
 
     plugin = name = "bowl"
     device = BOWL
-    shines = False
     box = corners_of((-1.0, 1.0), (-1.0, 1.0), (0.0, 1.0))
 
     @staticmethod

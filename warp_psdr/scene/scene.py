@@ -463,11 +463,6 @@ class Scene:
         """Whether any of the named parameters has one of the uses."""
         return any(self.parameters[n].uses & set(uses) for n in names)
 
-    def moves_normals(self, names: list[str]) -> bool:
-        """Whether shading normals depend on any of the named parameters."""
-        derived = self.derived_normals(names) or self.instances.derived_normals(names)
-        return self.has_use(names, NORMALS, SHAPE_POSE) or bool(derived)
-
 
 def _loaded_again(
     description: SceneDescription, device: str, contact_ratio: float, state: State, rays: tuple[str, int | None]
