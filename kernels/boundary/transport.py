@@ -2,11 +2,11 @@
 
 The estimators of discontinuities between two path vertices share this file (as ``path_space/secondary.py``,
 ``silhouette/secondary.py`` and ``shading_normals/indirect_terminator.py``). They differ in how they find a segment and
-in what moves the discontinuity. A segment contributes the sum over k of W_k L_k: W_k is the connection of the walk's k-th vertex, and L_k
-the radiance past the occluder behind k vertices, whose number max_depth bounds. x_1 slides along a pixel's ray for k =
-1 and is a material point for k > 1. Walk and source are independent given the segment, so one path, cut at different
-lengths, gives all L_k (``detector.Incident``). If x_2 lies on a light, L_k = E_2 + R_k: E_2 is known without a ray, and
-the scattered part R_k is estimated by R_k / p with probability p.
+in what moves the discontinuity. A segment contributes the sum over k of W_k L_k: W_k is the connection of the walk's
+k-th vertex, and L_k the radiance past the occluder behind k vertices, whose number max_depth bounds. x_1 slides along a
+pixel's ray for k = 1 and is a material point for k > 1. Walk and source are independent given the segment, so one path,
+cut at different lengths, gives all L_k (``detector.Incident``). If x_2 lies on a light, L_k = E_2 + R_k: E_2 is known
+without a ray, and the scattered part R_k is estimated by R_k / p with probability p.
 """
 
 import functools

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
+#: Lights from infinity besides skies.
+FAR = (c.EMITTER_DIRECTIONAL, c.EMITTER_DIRECTIONAL_AREA)
 #: What errors name in place of a method that does not know something: the first that knows it all.
 INTERIOR = ((interior.Replay, "interior.Replay()"),)
 BOUNDARY = tuple(
@@ -59,7 +61,7 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         "moving_slides": "slides" in solids and geometry,
         "shining": bool(config.lights.shining),
         "transient": bool(config.pulse),
-        "far_lights": bool(lights & {c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, *_FAR}),
+        "far_lights": bool(lights & {c.EMITTER_CONSTANT, c.EMITTER_ENVMAP, *FAR}),
         "null": delta and has_null_lobes(config.surfaces.bsdfs),
         "mirrors": delta,
         "moving_mirrors": delta and geometry,
@@ -75,10 +77,6 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         **{name: CAMERA_NAMES[config.camera] == name for name in CAMERA_NAMES.values() if name in WORDS},
     }
     return {word: told.get(word, WORDS[word]) for word, holds in there.items() if holds}
-
-
-#: Lights from infinity besides skies.
-_FAR = (c.EMITTER_DIRECTIONAL, c.EMITTER_DIRECTIONAL_AREA)
 
 
 def _of_guiding(needed: Mapping[str, Word], method: boundary.Method) -> dict[str, Word]:

@@ -122,7 +122,7 @@ class Geometry(ABC):
     @classmethod
     @abstractmethod
     def describe(cls, shapes: Sequence[tuple[str, Geometry]]) -> list[tuple[str, str, str]]:
-        """Return the plan's lines about shapes of this family, one or more, by their paths."""
+        """Return the plan's lines about shapes of this class, one or more, by their paths."""
 
 
 def geometry_of(shape: ShapeDescription) -> Geometry:
