@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from tests.boundary.scenes import load
 from tests.boundary.test_sdfgrid import GRID
 from warp_psdr.kernels.boundary.silhouette.grid_points import VOXEL_ITEM
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes, only
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, grid_shapes, only
 
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
 #: Float32 sums in another order.

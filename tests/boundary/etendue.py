@@ -11,7 +11,7 @@ from warp_psdr.kernels.primitive.dispatch import make_hit
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, grid_shapes
 
 HIT = make_hit((LINEAR_GRID.number, CUBIC_GRID.number))
 #: Batches of an estimate, whose deviation tells its error.

@@ -24,7 +24,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_sampling import own_density, own
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.topology.grid_silhouettes import (
+from warp_psdr.topology.kinds.grid_silhouettes import (
     Eyes,
     facing_creases,
     grid_items,

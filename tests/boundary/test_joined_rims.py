@@ -8,7 +8,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.estimate.arguments import flat_tangents
 from warp_psdr.topology import contacts
-from warp_psdr.topology.joined_rims import joined_rims
+from warp_psdr.topology.kinds.joined_rims import joined_rims
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows
 from .scenes import SCENES, T, camera, diffuse, floor, load, register

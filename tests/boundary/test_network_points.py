@@ -22,7 +22,7 @@ from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.kinds.network_bounds import cells_of
 from warp_psdr.scene.kinds.neuralsdf import Network
-from warp_psdr.topology.network_silhouettes import network_items, network_shapes, passed_cells, seen_cells
+from warp_psdr.topology.kinds.network_silhouettes import network_items, network_shapes, passed_cells, seen_cells
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, spread
 

@@ -19,7 +19,7 @@ from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.visibility import visibility_of
 from warp_psdr.plan.motion import motion, moving_shapes
-from warp_psdr.topology.joined_rims import outlines
+from warp_psdr.topology.kinds.joined_rims import outlines
 
 from .scenes import load
 from .test_exact_kinds import NAME as SHAPE

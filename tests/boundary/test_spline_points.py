@@ -24,7 +24,7 @@ from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.topology.grid_contacts import spline_interpolated
-from warp_psdr.topology.grid_silhouettes import items_of, spline_may_show
+from warp_psdr.topology.kinds.grid_silhouettes import items_of, spline_may_show
 
 from .etendue import LIMIT, assert_shares_agree, bin_of, blocked, growth, is_free, loaded, shapes, spread, sums, touches
 

@@ -9,7 +9,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_roots import QUARTIC, quartic_ro
 from warp_psdr.kernels.boundary.silhouette.tube_sampling import own_touch, own_touch_density, seen_touch_density
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.scene.kinds.bsplinecurve import coefficients
-from warp_psdr.topology.tubes import curve_shapes, tube_items
+from warp_psdr.topology.kinds.tube_items import curve_shapes, tube_items
 
 from .etendue import assert_shares_agree, bin_of
 

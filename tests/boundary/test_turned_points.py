@@ -16,7 +16,7 @@ from warp_psdr.kernels.boundary.silhouette.grid_points import (
 from warp_psdr.kernels.primitive.sdfgrid import grid_of
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, grid_shapes
 
 from .etendue import LIMIT, loaded, spread
 

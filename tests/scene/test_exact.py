@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.scene.kinds.records import position_of
 from warp_psdr.scene.kinds.sphere import Sphere
-from warp_psdr.topology.exact_shapes import _across, crossed_faces, exact_shapes, least_distance, runs_through
+from warp_psdr.topology.kinds.exact_shapes import _across, crossed_faces, exact_shapes, least_distance, runs_through
 
 T = psdr.Transform
 #: Flat, for float32.

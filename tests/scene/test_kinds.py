@@ -24,6 +24,7 @@ NAMES = {
 def test_the_host_and_the_device_have_the_same_kinds() -> None:
     assert sorted(kind.device.number for kind in KINDS) == sorted(kind.number for kind in table.KINDS)
     assert len({kind.name for kind in KINDS}) == len(KINDS)
+    assert max(kind.number for kind in table.KINDS) <= 30, "``is_of`` has a bit for each, of 31"
 
 
 @pytest.mark.parametrize("kind", KINDS)

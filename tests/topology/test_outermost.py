@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 from tests.path.test_sdfgrid import sphere
 from warp_psdr.topology.edges import scene_adjacency
-from warp_psdr.topology.grid_silhouettes import grid_items, grid_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, grid_shapes
 from warp_psdr.topology.outermost import outermost_edges
 from warp_psdr.topology.secondary_edges import secondary_candidates
 from warp_psdr.topology.unchanged import at_rest, kept

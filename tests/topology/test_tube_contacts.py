@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 from warp_psdr.kernels.primitive.curves_overlap import TOUCHING
 from warp_psdr.scene.kinds.bsplinecurve import coefficients
-from warp_psdr.topology.exact_shapes import least_distance
+from warp_psdr.topology.kinds.exact_shapes import least_distance
 from warp_psdr.topology.tube_contacts import pierced_segments, pierced_tubes
 
 #: Points of a segment in the rows, and how far these may miss the largest depth, over the radius.

@@ -18,11 +18,11 @@ from warp_psdr.scene.kinds.neuralsdf import network_and_cells
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.crossing_curves import touched
 from warp_psdr.topology.crossing_pairs import crossed_light, touching_pair
-from warp_psdr.topology.exact_shapes import reaching
 from warp_psdr.topology.grid_contacts import in_box, is_open, passed_by, pierced_grid
-from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.joined_rims import joined_rims
-from warp_psdr.topology.network_silhouettes import is_open_network, network_shapes
+from warp_psdr.topology.kinds.exact_shapes import reaching
+from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
+from warp_psdr.topology.kinds.joined_rims import joined_rims
+from warp_psdr.topology.kinds.network_silhouettes import is_open_network, network_shapes
 from warp_psdr.topology.tube_contacts import pierced_tubes
 from warp_psdr.topology.tube_crossings import resting_end
 from warp_psdr.topology.unchanged import kept

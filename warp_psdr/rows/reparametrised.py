@@ -28,11 +28,11 @@ from warp_psdr.scene.kinds.neuralsdf import Network, bound_slopes, network_and_c
 from warp_psdr.scene.kinds.zero_set import CORNERS, ZeroSet
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import area_normals
-from warp_psdr.topology.exact_shapes import pose, require_uncut
 from warp_psdr.topology.film_edges import film_edges
 from warp_psdr.topology.grid_contacts import in_box, require_uncut_grids
-from warp_psdr.topology.grid_silhouettes import grid_values
-from warp_psdr.topology.network_silhouettes import passed_cells
+from warp_psdr.topology.kinds.exact_shapes import pose, require_uncut
+from warp_psdr.topology.kinds.grid_silhouettes import grid_values
+from warp_psdr.topology.kinds.network_silhouettes import passed_cells
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest

@@ -20,8 +20,8 @@ from warp_psdr.device import launch
 from warp_psdr.kernels.boundary.touching import touching_pairs
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.faces import face_edges
-from warp_psdr.topology.joined_rims import joined_rims
-from warp_psdr.topology.joined_rims import warn as warn_of_rims
+from warp_psdr.topology.kinds.joined_rims import joined_rims
+from warp_psdr.topology.kinds.joined_rims import warn as warn_of_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.topology.crossing_fields import HALVINGS, Field, across_axis, exact_field, grid_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, least_distance, rim_points
-from warp_psdr.topology.joined_rims import joined_rims
+from warp_psdr.topology.kinds.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, least_distance, rim_points
+from warp_psdr.topology.kinds.joined_rims import joined_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.scene.kinds.sdfgrid import is_passed
-from warp_psdr.topology.exact_shapes import TOUCHING, pose
 from warp_psdr.topology.grid_contacts import TOUCHING as TOUCHING_GRID
 from warp_psdr.topology.grid_contacts import interpolated, spline_interpolated
-from warp_psdr.topology.grid_silhouettes import grid_values, is_smooth_grid
-from warp_psdr.topology.joined_rims import joined_rims
+from warp_psdr.topology.kinds.exact_shapes import TOUCHING, pose
+from warp_psdr.topology.kinds.grid_silhouettes import grid_values, is_smooth_grid
+from warp_psdr.topology.kinds.joined_rims import joined_rims
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -13,11 +13,18 @@ import numpy as np
 from warp_psdr.scene.shapes.primitives import sphere
 from warp_psdr.topology.crossing_curves import LEAST, RIM_POINTS, Chords, cut, cut_grid
 from warp_psdr.topology.crossing_fields import FINE, Field, across_axis, exact_field
-from warp_psdr.topology.exact_shapes import TOUCHING, crossable_shapes, crossed_faces, pose, rim_points, runs_through
-from warp_psdr.topology.grid_silhouettes import grid_shapes
-from warp_psdr.topology.joined_rims import joined_rims
+from warp_psdr.topology.kinds.exact_shapes import (
+    TOUCHING,
+    crossable_shapes,
+    crossed_faces,
+    pose,
+    rim_points,
+    runs_through,
+)
+from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes
+from warp_psdr.topology.kinds.joined_rims import joined_rims
+from warp_psdr.topology.kinds.tube_items import curve_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
-from warp_psdr.topology.tubes import curve_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -13,10 +13,10 @@ from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.topology.crossing_curves import Chords, cut, cut_grid, pierced_faces
 from warp_psdr.topology.crossing_fields import exact_field
 from warp_psdr.topology.crossing_pairs import cut_pair, exact_pairs
-from warp_psdr.topology.exact_shapes import crossable_shapes
-from warp_psdr.topology.grid_silhouettes import grid_shapes
+from warp_psdr.topology.kinds.exact_shapes import crossable_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes
+from warp_psdr.topology.kinds.tube_items import curve_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
-from warp_psdr.topology.tubes import curve_shapes
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:

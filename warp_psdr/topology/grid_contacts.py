@@ -14,9 +14,9 @@ from warp_psdr.scene.kinds.neuralsdf import Network, network_and_cells
 from warp_psdr.scene.kinds.sdfgrid import is_passed, spline_values
 from warp_psdr.scene.kinds.zero_set import CORNERS
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
-from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.network_silhouettes import network_shapes, passed_cells
+from warp_psdr.topology.kinds.exact_shapes import pose, with_exact_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
+from warp_psdr.topology.kinds.network_silhouettes import network_shapes, passed_cells
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import numpy as np
 
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.scene.kinds.sdfgrid import SdfGrid, is_passed
-from warp_psdr.topology.exact_shapes import pose
-from warp_psdr.topology.grid_silhouettes import (
+from warp_psdr.topology.kinds.exact_shapes import pose
+from warp_psdr.topology.kinds.grid_silhouettes import (
     VOXEL,
     Eyes,
     gathered,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.topology.edges import scene_adjacency
-from warp_psdr.topology.grid_silhouettes import light_eyes
+from warp_psdr.topology.kinds.grid_silhouettes import light_eyes
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:

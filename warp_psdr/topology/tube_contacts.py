@@ -18,9 +18,9 @@ from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.scene.kinds.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import CameraView, camera_view
-from warp_psdr.topology.exact_shapes import pose, with_exact_shapes
-from warp_psdr.topology.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.tubes import curve_shapes
+from warp_psdr.topology.kinds.exact_shapes import pose, with_exact_shapes
+from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
+from warp_psdr.topology.kinds.tube_items import curve_shapes
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.topology.crossing_curves import Chords, cut
 from warp_psdr.topology.crossing_fields import Field
-from warp_psdr.topology.exact_shapes import least_distance
+from warp_psdr.topology.kinds.exact_shapes import least_distance
+from warp_psdr.topology.kinds.tube_items import curve_shapes, follows
 from warp_psdr.topology.tube_contacts import pierced_segments
-from warp_psdr.topology.tubes import curve_shapes, follows
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

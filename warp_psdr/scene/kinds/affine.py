@@ -93,6 +93,10 @@ class Exact(Geometry):
         """Return the point (3,) that a vertex holds."""
         return placed(record, self.points(u, v))
 
+    def reach(self, way: np.ndarray) -> float:
+        """Return how far it reaches from the middle of its box along w . q, at most; ``way``: w (3,)."""
+        return float(np.abs(way) @ (0.5 * (self.box.max(axis=0) - self.box.min(axis=0))))
+
     def area(self, box: np.ndarray) -> float:
         """Return the area, to a relative 1e-4."""
         linear = np.linalg.lstsq(np.pad(self.box.astype(np.float64), ((0, 0), (0, 1)), constant_values=1.0), box)[0]

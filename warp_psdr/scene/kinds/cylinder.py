@@ -37,6 +37,10 @@ class Cylinder(Exact):
         frame[:3, 2] = (p1 - p0) / length
         return Transform.translate(p0).matrix @ frame @ np.diag([radius, radius, length, 1.0])
 
+    def reach(self, way: np.ndarray) -> float:
+        """Return how far the circle reaches, and half of the height."""
+        return float(np.linalg.norm(way[:2]) + 0.5 * abs(way[2]))
+
     @staticmethod
     def points(u, v) -> np.ndarray:
         """Return the points (..., 3) by the angle around the axis and the height."""

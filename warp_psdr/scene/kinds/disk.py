@@ -17,6 +17,10 @@ class Disk(Exact):
     box = corners_of((-1.0, 1.0), (-1.0, 1.0), (0.0,))
     tessellate = staticmethod(primitives.disk)
 
+    def reach(self, way: np.ndarray) -> float:
+        """Return how far the circle reaches."""
+        return float(np.linalg.norm(way[:2]))
+
     @staticmethod
     def points(u, v) -> np.ndarray:
         """Return the points (..., 3) with the coordinates x and y."""

@@ -31,6 +31,10 @@ class Sphere(Exact):
         radius = props.number("radius", 1.0, minimum=0.0, exclusive=True)
         return Transform.translate(center).scale(radius).matrix
 
+    def reach(self, way: np.ndarray) -> float:
+        """Return the length of w."""
+        return float(np.linalg.norm(way))
+
     @staticmethod
     def points(u, v) -> np.ndarray:
         """Return points (..., 3) by octahedral coordinates."""

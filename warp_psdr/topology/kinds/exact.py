@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
-from warp_psdr.topology.exact_shapes import exact_shapes, require_uncut
-from warp_psdr.topology.joined_rims import outlines
+from warp_psdr.topology.kinds.exact_shapes import exact_shapes, require_uncut
 from warp_psdr.topology.kinds.family import EQUAL, Family, Streams
+from warp_psdr.topology.kinds.joined_rims import outlines
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

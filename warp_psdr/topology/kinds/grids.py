@@ -11,8 +11,8 @@ from warp_psdr.kernels.primitive.cubic_grid import CUBIC_GRID
 from warp_psdr.kernels.primitive.linear_grid import LINEAR_GRID
 from warp_psdr.scene.kinds.zero_set import ZeroSet
 from warp_psdr.topology.grid_contacts import require_uncut_grids
-from warp_psdr.topology.grid_silhouettes import Eyes, camera_eyes, grid_items, grid_shapes, light_eyes, only
 from warp_psdr.topology.kinds.family import Family, Shares, Streams
+from warp_psdr.topology.kinds.grid_silhouettes import Eyes, camera_eyes, grid_items, grid_shapes, light_eyes, only
 from warp_psdr.topology.kinds.item_names import grid_names
 
 if TYPE_CHECKING:

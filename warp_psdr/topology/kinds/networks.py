@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.kernels.primitive.network_kind import NETWORK as DEVICE
 from warp_psdr.topology.grid_contacts import require_uncut_grids
-from warp_psdr.topology.grid_silhouettes import camera_eyes, light_eyes
 from warp_psdr.topology.kinds.family import Family, Streams
+from warp_psdr.topology.kinds.grid_silhouettes import camera_eyes, light_eyes
 from warp_psdr.topology.kinds.grids import FOREGROUND, PRIMARY, SECONDARY, masses, shown, with_share
-from warp_psdr.topology.network_silhouettes import network_items, network_shapes
+from warp_psdr.topology.kinds.network_silhouettes import network_items, network_shapes
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

@@ -10,8 +10,8 @@ from warp_psdr.kernels.boundary.silhouette.tube_points import TubeItems
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.topology.kinds.family import Family, Shares, Streams
 from warp_psdr.topology.kinds.item_names import curve_names
+from warp_psdr.topology.kinds.tube_items import curve_shapes, tube_items
 from warp_psdr.topology.tube_contacts import require_uncut_tubes
-from warp_psdr.topology.tubes import curve_shapes, tube_items
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

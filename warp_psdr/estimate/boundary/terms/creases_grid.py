@@ -7,8 +7,8 @@ from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Ter
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.options.words import words
-from warp_psdr.topology.grid_silhouettes import camera_eyes, facing_creases
 from warp_psdr.topology.kinds.family import Shares
+from warp_psdr.topology.kinds.grid_silhouettes import camera_eyes, facing_creases
 from warp_psdr.topology.kinds.grids import GRID
 
 SHARES = Shares(values=1.0 / 16.0, pose=1.0 / 4.0)

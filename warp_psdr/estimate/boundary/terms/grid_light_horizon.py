@@ -9,7 +9,7 @@ from warp_psdr.kernels.constants import DELTA_LIGHTS
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids
-from warp_psdr.topology.grid_silhouettes import grid_items, light_eyes, only
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, light_eyes, only
 from warp_psdr.topology.kinds.grids import GRID, POSES
 
 

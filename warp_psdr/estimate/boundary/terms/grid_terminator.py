@@ -10,7 +10,7 @@ from warp_psdr.kernels.boundary.shading_normals.grid_terminator import make_grid
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.options.words import words
 from warp_psdr.topology.grid_normals import interpolated_grids, turned_items
-from warp_psdr.topology.grid_silhouettes import camera_eyes
+from warp_psdr.topology.kinds.grid_silhouettes import camera_eyes
 from warp_psdr.topology.kinds.grids import PRIMARY
 
 

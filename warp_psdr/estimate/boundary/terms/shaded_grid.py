@@ -8,8 +8,8 @@ from warp_psdr.estimate.boundary.terms import foreground_silhouettes
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
 from warp_psdr.options.boundary import PathSpace
 from warp_psdr.options.words import words
-from warp_psdr.topology.grid_silhouettes import grid_items, only
 from warp_psdr.topology.kinds.family import Shares
+from warp_psdr.topology.kinds.grid_silhouettes import grid_items, only
 from warp_psdr.topology.kinds.grids import GRID
 
 SHARES = Shares(values=1.0 / 24.0, pose=1.0 / 8.0)

@@ -239,13 +239,12 @@ def require_uncut(scene: Scene, sensor: int, shapes: frozenset[int] | None) -> N
     for i in exact_shapes(scene):
         if shapes is not None and i not in shapes:
             continue
-        kind = scene.geometry(i).name
+        geometry = scene.geometry(i)
+        assert isinstance(geometry, Exact)
         linear, center = pose(scene, i)
-        middle, half = float(view.depth(center)), axis @ linear
-        low, high = (end(scene.geometry(i).corners(np.eye(4)), axis=0) for end in (np.min, np.max))
-        middle += float(half @ (0.5 * (low + high)))
-        reach = np.linalg.norm(half) if kind == "sphere" else np.linalg.norm(half[:2])
-        reach += 0.5 * abs(half[2]) * float(high[2] - low[2]) if kind != "sphere" else 0.0
+        way = axis @ linear
+        middle = float(view.depth(center) + way @ (0.5 * (geometry.box.min(axis=0) + geometry.box.max(axis=0))))
+        reach = geometry.reach(way)
         for plane in view.clip_depths():
             if middle - reach < plane < middle + reach:
                 raise ValueError(

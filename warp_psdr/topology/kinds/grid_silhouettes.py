@@ -20,7 +20,7 @@ from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.silhouette.grid_points import VOXEL_ITEM, GridItems
 from warp_psdr.scene.kinds.sdfgrid import SdfGrid, bezier_values, is_passed, spline_values
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.exact_shapes import pose
+from warp_psdr.topology.kinds.exact_shapes import pose
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:

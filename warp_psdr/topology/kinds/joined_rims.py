@@ -18,7 +18,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.kernels.boundary.silhouette.point import OutlineItem
-from warp_psdr.topology.exact_shapes import exact_shapes, least_distance, pose, rim_points
+from warp_psdr.topology.kinds.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene

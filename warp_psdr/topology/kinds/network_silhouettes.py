@@ -15,8 +15,8 @@ import numpy as np
 from warp_psdr.kernels.boundary.silhouette.grid_points import GridItems
 from warp_psdr.scene.kinds.network_bounds import OFFSETS, bounds_of, in_parts, single
 from warp_psdr.scene.kinds.neuralsdf import Network, network_and_cells
-from warp_psdr.topology.exact_shapes import pose
-from warp_psdr.topology.grid_silhouettes import VOXEL, Eyes, copied, gathered, named
+from warp_psdr.topology.kinds.exact_shapes import pose
+from warp_psdr.topology.kinds.grid_silhouettes import VOXEL, Eyes, copied, gathered, named
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
