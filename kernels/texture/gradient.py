@@ -5,7 +5,7 @@ A bilinear bitmap with the footprint (fx, fy) between four texels, in texels of 
     dh/dx = (1 - fy) (t10 - t00) + fy (t11 - t01),    dh/dy = (1 - fx) (t01 - t00) + fx (t11 - t10).
 
 The slope is linear in the texels, and jumps at the lines between them. Parameters that slide such a texture are
-therefore refused (``warp_psdr/plan/coverage.py``).
+therefore refused (``warp_psdr/plan/boundary.py``).
 """
 
 import functools

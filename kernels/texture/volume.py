@@ -3,7 +3,7 @@
 The value at x is t(q), q = W x in the grid's unit cube (``medium/volume.py``). It is linear in the voxels. Its adjoint
 a_q = (dt/dq)^T w goes to W as a_q (x, 1)^T, and to x as W^T a_q. A surface that moves slides through the texture: x
 rides on the corners of its triangle, and barycentrics that a ray finds are attached too. Nearest voxels have no slope,
-so parameters that slide them are refused (``warp_psdr/plan/coverage.py``).
+so parameters that slide them are refused (``warp_psdr/plan/boundary.py``).
 
 Derivation: ``docs/theory/interior.md#textures-that-are-volumes``.
 """

@@ -10,7 +10,7 @@ from tests.boundary.random_shapes import shape
 from warp_psdr.kernels.primitive import table
 from warp_psdr.kernels.primitive.kind import SLIDES
 from warp_psdr.scene.kinds.kind import Geometry
-from warp_psdr.scene.kinds.table import FAMILIES, KINDS, PLUGINS
+from warp_psdr.scene.kinds.table import KINDS, PLUGINS, TOLD_TOGETHER
 
 #: Kind, as ``random_shapes`` calls it -> its name in the table.
 NAMES = {
@@ -29,7 +29,7 @@ def test_the_host_and_the_device_have_the_same_kinds() -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_kind_is_of_one_family_and_its_plugin_is_read(kind: type[Geometry]) -> None:
-    assert sum(issubclass(kind, family) for family in FAMILIES) == 1
+    assert sum(issubclass(kind, family) for family in TOLD_TOGETHER) == 1
     assert issubclass(kind, PLUGINS[kind.plugin])
     assert bool(kind.jumps) == (kind.device.moves == SLIDES)
     assert kind.instead and kind.invertible

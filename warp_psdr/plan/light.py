@@ -16,7 +16,7 @@ from warp_psdr.kernels.constants import (
 )
 from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.options import interior
-from warp_psdr.plan.coverage import edge_of_light
+from warp_psdr.plan.boundary import edge_of_light
 from warp_psdr.plan.motion import motion, moves_vertices
 from warp_psdr.plan.needs import unknown
 from warp_psdr.rows.replay import MOST_KEPT, Kept, keep_blocks

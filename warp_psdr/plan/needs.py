@@ -44,7 +44,7 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
     delta = media is None and has_delta_lobes(config.surfaces.bsdfs)  # beside media ``plan/media.py`` looks at lobes
     geometry, textures = wanted is not None and wanted.geometry, [] if config.shown else scene.builder.textures
     moving_media = media is not None and wanted is not None and moves_in_media(wanted)
-    rough, solids = passing(config.surfaces.bsdfs), primitives.words(scene)
+    rough, solids = passing(config.surfaces.bsdfs), primitives.words_of(scene)
     told = {
         **solids,
         "rough_glass": Word(f"the smooth lobe behind the surface of a {rough!r}", WORDS["rough_glass"].instead),

@@ -18,7 +18,7 @@ from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, transient
-from warp_psdr.plan.coverage import choose, edge_of_light, refuse_own_shape, slides_steps, sliding_heights
+from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, slides_steps, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion

@@ -49,7 +49,7 @@ def describe(scene: Scene) -> list[tuple[str, str, str]]:
     return table.describe(scene.description.shapes)
 
 
-def words(scene: Scene) -> dict[str, Word]:
+def words_of(scene: Scene) -> dict[str, Word]:
     """Return the words of the kinds of shapes without triangles that a scene holds, each with a shape of its own."""
     found: dict[str, Word] = {}
     shapes = [scene.description.shapes[i] for i in scene.builder.primitives]

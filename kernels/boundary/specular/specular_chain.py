@@ -150,7 +150,7 @@ def make_intersect_link(config: PathConfig):
     interaction = make_interaction(config.surfaces, config.lights)
     bsdf, emitted = interaction.bsdf, interaction.emitted
     # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes. No model has three of them
-    # (``warp_psdr/plan/coverage.py``).
+    # (``warp_psdr/plan/boundary.py``).
     mixed = bsdf.eval is not None
     transmissive = bsdf.relative_eta is not None
     nulls = has_null_lobes(config.surfaces.bsdfs)

@@ -35,7 +35,7 @@ KINDS: tuple[type[Geometry], ...] = (
     Network,
 )
 #: Kinds of which the plan speaks together, in its order.
-FAMILIES: tuple[type[Geometry], ...] = (Exact, SdfGrid, Network, Curves)
+TOLD_TOGETHER: tuple[type[Geometry], ...] = (Exact, SdfGrid, Network, Curves)
 
 #: Plugin -> the kind that reads it; of several the first, whose others are its own.
 PLUGINS = {kind.plugin: kind for kind in reversed(KINDS)}
@@ -64,5 +64,5 @@ def kind_of(props: Properties) -> type[Geometry] | None:
 def describe(shapes: Sequence[ShapeDescription]) -> list[tuple[str, str, str]]:
     """Return the plan's lines about shapes without triangles."""
     held = [(s.path, s.geometry) for s in shapes if s.geometry is not None]
-    found = [(family, [(path, g) for path, g in held if isinstance(g, family)]) for family in FAMILIES]
+    found = [(family, [(path, g) for path, g in held if isinstance(g, family)]) for family in TOLD_TOGETHER]
     return [line for family, own in found if own for line in family.describe(own)]
