@@ -19,7 +19,7 @@ from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.visibility import visibility_of
 from warp_psdr.plan.motion import motion, moving_shapes
-from warp_psdr.topology.kinds.joined_rims import outlines
+from warp_psdr.topology.kinds.exact import EXACT
 
 from .scenes import load
 from .test_exact_kinds import NAME as SHAPE
@@ -85,18 +85,12 @@ def request(name: str, parameter: str, method=PROJECTIVE, depth: int = 2) -> ter
     return terms.Request(scene, plan, motion(scene, [parameter]), "forward", 0, 8, 0)
 
 
-def outline_items(scene) -> OutlineItems:
-    items = OutlineItems()
-    items.items, items.share = outlines(scene, None), 0.5
-    return items
-
-
 @pytest.mark.parametrize("kind", ["cylinder", pytest.param("disk", marks=pytest.mark.slow)])
 def test_numbers_of_projected_points_draw_them_again(kind: str) -> None:
     """What is projected touches the shape: the direction is tangent, and the numbers are those of the sampler."""
     scene, _params = load(f"exact {kind}, lamp")
     r = request(f"exact {kind}, lamp", SHAPE)
-    items = outline_items(scene)
+    items = EXACT.touched(scene, 0.5, None)
     random = np.random.default_rng(1)
     count = 4096
     lamp = np.array([0.8, -0.8, 2.5])
@@ -121,7 +115,7 @@ def test_numbers_of_projected_points_draw_them_again(kind: str) -> None:
 def test_seeds_carry_light(technique: str) -> None:
     """At the numbers of seeds the integrand is hardly ever zero, at random ones often."""
     r = request("exact, lamp", BALL, depth=2 if technique == "light" else 4)
-    items = outline_items(r.scene)
+    items = EXACT.touched(r.scene, 0.5, None)
     space = Space(
         kernel=make_secondary_silhouette_kernel(r.config, "target", False, False, "exact"),
         head=[r.scene.data(), r.camera, items, moving_shapes(r.scene, r.moves)],

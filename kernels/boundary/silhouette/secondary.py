@@ -151,7 +151,7 @@ def make_secondary_silhouette_kernel(
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
         u4 = sample_4d(sampler, SLOT_DIRECTION)
-        # Of edges the direction; of surfaces a coordinate of the place, or two, and theta.
+        # Edges take the direction from these numbers, surfaces one or two coordinates of the place, and theta.
         u3 = wp.vec3(u4[0], u4[1], u4[2])
         drawn = DrawnItem()
         own = wp.bool(True)

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+import warp as wp
+
 from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
+from warp_psdr.kernels.boundary.silhouette.point import OutlineItem
 from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.topology.kinds.exact_shapes import exact_shapes, require_uncut
@@ -18,16 +22,17 @@ if TYPE_CHECKING:
 def _items(scene: Scene, shapes: list[int], share: float) -> OutlineItems | None:
     """Return the outlines of some shapes."""
     found = outlines(scene, frozenset(shapes))
-    if found is None:
+    if not found:
         return None
     items = OutlineItems()
-    items.items, items.share = found, share
+    items.items = wp.array(np.array(found, OutlineItem.numpy_dtype()), dtype=OutlineItem, device=scene.device)
+    items.share = share
     return items
 
 
 def _require_uncut(scene: Scene, sensor: int, shapes: list[int]) -> None:
     """Raise if a clip plane cuts one of some shapes; where none has an outline of its own, none is looked at."""
-    if outlines(scene, frozenset(shapes)) is not None:
+    if outlines(scene, frozenset(shapes)):
         require_uncut(scene, sensor, frozenset(shapes))
 
 

@@ -65,11 +65,12 @@ def reaching(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | N
 
     One of them is in ``shapes`` (None: any). Triangles may if they reach into the box around the shape.
     """
-    for i in sorted(set(exact_shapes(scene)) - set(crossable_shapes(scene))):
+    others = sorted(set(exact_shapes(scene)) - set(crossable_shapes(scene)))
+    corners, owners = with_exact_shapes(scene) if others else (np.zeros((0, 3, 3)), np.zeros(0, np.int64))
+    for i in others:
         linear, center = pose(scene, i)
         box = scene.geometry(i).corners(np.eye(4)).astype(np.float64)
         low, high = box.min(axis=0) - TOUCHING, box.max(axis=0) + TOUCHING
-        corners, owners = with_exact_shapes(scene)
         asked = owners != i if shapes is None or i in shapes else np.isin(owners, sorted(shapes - {i}))
         local = (corners[asked] - center) @ np.linalg.inv(linear).T
         near = ((local.min(axis=1, initial=np.inf) < high) & (local.max(axis=1, initial=-np.inf) > low)).all(axis=1)

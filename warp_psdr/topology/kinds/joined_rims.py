@@ -15,9 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import warp as wp
 
-from warp_psdr.kernels.boundary.silhouette.point import OutlineItem
 from warp_psdr.topology.kinds.exact_shapes import exact_shapes, least_distance, pose, rim_points
 
 if TYPE_CHECKING:
@@ -130,8 +128,8 @@ def _meshes_below(scene: Scene, points: np.ndarray, tolerance: float) -> list[in
     return found
 
 
-def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
-    """Return the outlines of some exact shapes (None: of all), as ``silhouette/dispatch.py`` has them; None: none."""
+def outlines(scene: Scene, shapes: frozenset[int] | None) -> list[tuple[int, tuple[int, int], int]]:
+    """Return the outlines of some exact shapes (None: of all), each as the members of an ``OutlineItem``."""
     joined = joined_rims(scene)
     record = {i: scene.face_count + k for k, i in enumerate(scene.builder.primitives)}
     found = []
@@ -148,9 +146,7 @@ def outlines(scene: Scene, shapes: frozenset[int] | None) -> wp.array | None:
         if affine.rim is not None and len(closed) < 2 and i not in dict(joined.buried):
             neighbour = next((record[c] for d, c, _end in joined.caps if d == i), -1)
             found.append((-1 - face, (neighbour, -1), next(iter(closed), -1)))
-    if not found:
-        return None
-    return wp.array(np.array(found, OutlineItem.numpy_dtype()), dtype=OutlineItem, device=scene.device)
+    return found
 
 
 def warn(scene: Scene, tangents: np.ndarray) -> None:
