@@ -37,6 +37,8 @@ class SurfaceConfig:
     flat: bool
     uv: bool
     tangent: bool
+    #: Some texture jumps inside of triangles (``texture/steps.py``).
+    steps: bool = False
     #: Numbers of the kinds of shapes without triangles (``primitive/table.py``).
     primitives: tuple[int, ...] = ()
 

@@ -70,6 +70,8 @@ KINDS = (
     "hard_shadows",
     "media_hard_shadows",
     "through_mirrors",
+    "texture_steps",
+    "sliding_steps",
     "film_border",
     "path_warped_area",
     "guiding",

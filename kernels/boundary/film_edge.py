@@ -12,6 +12,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import make_screened
 from warp_psdr.kernels.boundary.forwards import make_hidden
 from warp_psdr.kernels.boundary.local_form import (
+    STEP,
     EdgePoint,
     Edges,
     barycentrics_at,
@@ -40,6 +41,8 @@ from warp_psdr.kernels.visibility import visibility_of
 BESIDE = 0.1
 #: The same beside narrow faces: 2 float32 steps of the largest coordinate.
 BESIDE_LEAST = 0.025
+#: The same beside a step of a texture, where nothing else jumps: texture coordinates have roundings of their own.
+BESIDE_STEP = 1.0
 #: Least distance in front of the edge at which the rays start, in ray epsilons. It is longer where a face is seen more
 #: edge-on than BESIDE / AHEAD, 10^-4: the ray beside the edge must start in front of that face.
 AHEAD = 2000.0
@@ -73,6 +76,10 @@ def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp
 
     A narrow one is missed by rays at that distance.
     """
+    if edges.ends[f.point.edge, 0] == STEP:
+        beside = BESIDE_STEP * f.step
+        slope = wp.abs(wp.dot(scene.triangles[edges.faces[edges.first[f.point.edge]]].normal, f.d))
+        return beside, wp.max(AHEAD * f.step, MARGIN * beside / slope), False
     width, slant = narrowest_face(scene, edges, f.point, f.m, f.d)
     # Where scales are mixed, steps are some roundings already.
     least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
@@ -95,7 +102,7 @@ def make_film_edge(config: PathConfig, role: str, camera_moves: bool):
     hidden = make_hidden(config.rays, config.surfaces.primitives)
     screened = make_screened(config.rays, config.surfaces.primitives)
     line = make_line(config)[0] if config.media is not None else None
-    accumulate_edge = make_edge_sink(role)
+    accumulate_edge = make_edge_sink(role, config.surfaces.steps)
     material = make_vertex_sink(role, False, False, False, False, False, False) if config.material_first else None
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()

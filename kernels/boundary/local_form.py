@@ -19,6 +19,7 @@ from warp_psdr.kernels.distribution import find_interval_64
 from warp_psdr.kernels.sink import make_sink_vec3
 from warp_psdr.kernels.step import passing_step
 from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.texture.steps import make_slide_sink, place_gradient, place_slopes
 
 #: Squared sine of the angle between two faces below which they count as parallel when a seam's velocity is split.
 SEAM_PARALLEL = 1.0e-4
@@ -33,6 +34,8 @@ ON_PLANE, NEAR = 0.5, 2000.0
 IN_PLANE = 0.9999
 #: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
 PARALLEL = 1.0e-5
+#: ``Edges.ends`` of what has no vertices: a curve in which two faces run through each other; a step of a texture.
+CURVE, STEP = wp.constant(-1), wp.constant(-2)
 
 
 @wp.struct
@@ -40,7 +43,9 @@ class Edges:
     """Candidate edges, of position-welded vertices. ``ends`` and ``twins`` are the vertices of the first two faces.
 
     On a seam the two sides have vertices of their own at the same positions; elsewhere the pairs are equal. A curve in
-    which two faces run through each other is an edge without vertices: ``ends`` and ``twins`` are -1.
+    which two faces run through each other is an edge without vertices: ``ends`` and ``twins`` are CURVE. A line on one
+    face along which a texture jumps (``texture/steps.py``) has STEP and the texture's number in ``ends``, STEP and the
+    axis of its place in ``twins``.
     """
 
     cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, n + 1
@@ -142,7 +147,7 @@ def interior_side(scene: Scene, edges: Edges, point: EdgePoint, m: wp.vec3, w: w
     """Return +1 or -1 if all faces of the edge lie on that side of the plane through edge and w, else 0.
 
     m is normal to the plane. Of a face in the plane the edge that rays along w come to first counts (``edge_on.py``).
-    The faces of a curve of intersection lie on both sides of every plane through it.
+    The faces of a curve of intersection, or of a step, lie on both sides of every plane through it.
     """
     if edges.ends[point.edge, 0] < 0:
         return 0.0
@@ -191,7 +196,7 @@ def on_planes(scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: w
 
     True of curves of intersection, which rays pass so far away that they may leave both triangles.
     """
-    found = edges.ends[point.edge, 0] < 0
+    found = edges.ends[point.edge, 0] == CURVE
     if face >= 0:
         for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
             found = found or on_plane(scene.triangles[edges.faces[i]].normal, x - point.x, step)
@@ -260,8 +265,10 @@ def split_between(g: wp.vec3, n_a: wp.vec3, n_b: wp.vec3, squared: wp.float32) -
 
 
 @functools.cache
-def make_edge_sink(role: str):
+def make_edge_sink(role: str, steps: bool = False):
     """Return ``accumulate_edge(scene, target, edges, point, g) -> float``: scatter the adjoint g of a point on an edge.
+
+    ``steps``: some edges are steps of textures, which ride on a triangle and slide over it.
 
     Where two surfaces that are separate objects meet in an edge, it is their intersection: of the velocity v of such a
     curve only n_A . v = n_A . v_A and n_B . v = n_B . v_B are fixed, so g = a n_A + b n_B is split between them. The
@@ -280,6 +287,7 @@ def make_edge_sink(role: str):
 
         return record
     sink3 = make_sink_vec3(role)
+    accumulate_slide = make_slide_sink(role) if steps else None
 
     @wp.func
     def accumulate_ends(
@@ -300,9 +308,26 @@ def make_edge_sink(role: str):
         )
 
     @wp.func
+    def accumulate_step(
+        scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
+    ) -> wp.float32:
+        face = edges.faces[edges.first[point.edge]]
+        tri = scene.triangles[face]
+        number = edges.ends[point.edge, 1]
+        axis = edges.twins[point.edge, 1]
+        slope = place_gradient(tri, place_slopes(scene, scene.textures[number], tri, axis))
+        a = -wp.dot(g, slope) / wp.dot(slope, slope)
+        uv = barycentrics_at(tri, point.x)
+        slid = accumulate_slide(scene, target, number, axis, tri, uv[0], uv[1], a)
+        return slid + accumulate_face(scene, target, face, point.x, g)
+
+    @wp.func
     def accumulate_edge(
         scene: Scene, target: wp.array(dtype=wp.float32), edges: Edges, point: EdgePoint, g: wp.vec3
     ) -> wp.float32:
+        if wp.static(steps):
+            if edges.ends[point.edge, 0] == STEP:
+                return accumulate_step(scene, target, edges, point, g)
         e = point.edge
         i0 = edges.ends[e, 0]
         i1 = edges.ends[e, 1]

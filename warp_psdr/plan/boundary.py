@@ -13,14 +13,13 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
-from warp_psdr.plan import discontinuities, media, primitives
+from warp_psdr.plan import discontinuities, media, primitives, steps
 from warp_psdr.plan.discontinuities import Asked
-from warp_psdr.plan.motion import Motion, motion
-from warp_psdr.plan.needs import has_steps, needs, unknown_to_boundary
+from warp_psdr.plan.motion import motion
+from warp_psdr.plan.needs import needs, unknown_to_boundary
 from warp_psdr.rows import reparametrised
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.scene.media.volume_pose import of
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 
@@ -55,7 +54,7 @@ def choose(
         or _metered(scene, config, depth)
         or media.refused(scene, config, names)
         or primitives.refused(scene, config, integrator, names)
-        or _uncovered(scene, config, names, depth)
+        or _uncovered(scene, config, names, depth, method)
         or discontinuities.unknown(Asked(scene, config, motion(scene, names), sensor, depth), method, needed)
         or reparametrised.refused(scene, config, integrator, method, names, sensor)
     )
@@ -104,7 +103,7 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
             )
 
 
-def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int) -> str:
+def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int, method: Method) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
     if config.shown:  # of what lights, materials and textures do nothing is seen
         return _in_many_faces(scene, names)
@@ -123,11 +122,9 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: in
                 f"shape {crowded[0][0]!r}, a {crowded[0][1]!r}, scatters smoothly, reflects as a mirror and lets light "
                 "pass, and discontinuities are searched through two of these; split it up"
             )
-    if any(slides_steps(scene, name) for name in names):
-        return "a texture with steps slides; use a bilinear bitmap, a trilinear volume or a vertex attribute"
-    steps = _moving_steps(scene, config, motion(scene, names))
-    if steps:
-        return f"{steps}, which jumps inside of triangles; use a bilinear bitmap, or hold it still before the camera"
+    moving = steps.refused(scene, config, names, method)
+    if moving:
+        return moving
     for e in scene.builder.emitters:
         edge = edge_of_light(scene, e)
         if edge:
@@ -142,16 +139,6 @@ def _in_many_faces(scene: Scene, names: list[str]) -> str:
         return ""
     a, b = (scene.description.shapes[i].path for i in pair)
     return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
-
-
-def slides_steps(scene: Scene, name: str) -> bool:
-    """Whether a parameter, texture coordinates or their transformation, slides a texture that has steps."""
-    parameter, b = scene.parameters[name], scene.builder
-    if TEXCOORDS in parameter.uses:
-        read = [t for shape in parameter.owners for t in b.textures_of(b.shapes[shape])]
-        return any(t.kind == c.TEXTURE_FACE or has_steps(t) for t in read)
-    read_by = {parameter.offset, *(p.inverse for p in of(scene, [name]))}
-    return TO_UV in parameter.uses and any(has_steps(t) and t.to_uv in read_by for t in b.textures)
 
 
 def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry: bool) -> str:
@@ -179,26 +166,6 @@ def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry
         if parameter.owner in bumped and parameter.uses & {POSITIONS, SHAPE_POSE, NORMALS, TEXCOORDS}:
             return f"{name} moves the bump map of {scene.description.shapes[parameter.owner].path!r}"
     return ""
-
-
-def _moving_steps(scene: Scene, config: PathConfig, moves: Motion) -> str:
-    """Say which steps of textures move against the points that read them; empty: none.
-
-    A path's points ride on their triangles, and the steps with them, but for the points that a ray with a fixed start
-    finds: those that the camera sees, unless they are material (``interior.FilmAntithetic``), and those behind smooth
-    mirrors and glass.
-    """
-    b = scene.builder
-    if config.material_first or not any(has_steps(t) for t in b.textures):
-        return ""
-    carriers = {i for i, shape in enumerate(b.shapes) if any(has_steps(t) for t in b.textures_of(shape))}
-    if has_delta_lobes(config.surfaces.bsdfs) and carriers:
-        return "smooth mirrors or glass show a texture with steps"
-    seen = sorted(carriers if moves.camera else carriers & moves.shapes)
-    if not seen:
-        return ""
-    path = scene.description.shapes[seen[0]].path
-    return f"the camera moves before the texture of {path!r}" if moves.camera else f"{path!r} carries a texture"
 
 
 def edge_of_light(scene: Scene, e: Emitter) -> str:

@@ -11,7 +11,18 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.medium.coefficients import POSE
-from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
+from warp_psdr.scene.layout import (
+    CAMERA,
+    LIGHT_POSE,
+    MEDIUM,
+    NORMALS,
+    POSITIONS,
+    SHAPE_GRID,
+    SHAPE_POSE,
+    TEXCOORDS,
+    TO_UV,
+)
+from warp_psdr.scene.media.volume_pose import of
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
@@ -30,6 +41,7 @@ class Motion:
         normals: numbers of the shapes whose vertex normals turn by themselves.
         grids: a grid of a medium moves, and the points of the medium with it.
         values: values of grids and networks, or control points, move surfaces, each a part of one.
+        steps: (shape, texture) whose steps slide over the surface (``kernels/texture/steps.py``).
     """
 
     shapes: frozenset[int]
@@ -38,6 +50,7 @@ class Motion:
     normals: frozenset[int] = frozenset()
     grids: bool = False
     values: bool = False
+    steps: frozenset[tuple[int, int]] = frozenset()
 
     @property
     def edges(self) -> bool:
@@ -55,7 +68,36 @@ def motion(scene: Scene, names: list[str]) -> Motion:
         normals=frozenset(owner for use, owner in uses if NORMALS in use),
         grids=any(MEDIUM + POSE in use for use, _owner in uses),
         values=any(SHAPE_GRID in use for use, _owner in uses),
+        steps=_sliding_steps(scene, names),
     )
+
+
+def _sliding_steps(scene: Scene, names: list[str]) -> frozenset[tuple[int, int]]:
+    """Return the (shape, texture) whose steps the named parameters slide over the surface."""
+    found = [p for p in (scene.parameters[name] for name in names) if p.uses & {TO_UV, TEXCOORDS}]
+    if not found:
+        return frozenset()
+    moved = {p.offset for p in found} | {p.inverse for p in of(scene, names)}
+    shapes = {shape for p in found if TEXCOORDS in p.uses for shape in p.owners}
+    return frozenset(
+        (shape, number)
+        for shape, textures in scene.builder.stepped().items()
+        for number in textures
+        if shape in shapes or scene.builder.textures[number].to_uv in moved
+    )
+
+
+def seen_steps(scene: Scene, config: PathConfig, moves: Motion) -> frozenset[tuple[int, int]]:
+    """Return the (shape, texture) whose steps move against the points that the camera sees."""
+    if config.material_first:
+        return moves.steps
+    carried = {
+        (shape, number)
+        for shape, textures in scene.builder.stepped().items()
+        for number in textures
+        if moves.camera or shape in moves.shapes
+    }
+    return moves.steps | carried
 
 
 def moves_in_media(wanted: GradientRequest) -> bool:

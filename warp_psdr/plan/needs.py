@@ -14,10 +14,10 @@ from warp_psdr.options.words import APART, NEVER, WORDS, Word
 from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import moves_in_media, moves_vertices
 from warp_psdr.plan.words import CAMERA_NAMES
+from warp_psdr.scene.materials.texture_records import has_steps
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-    from warp_psdr.kernels.structs import Texture
     from warp_psdr.kernels.vertex import PathConfig
     from warp_psdr.scene.scene import Scene
 
@@ -28,13 +28,6 @@ INTERIOR = ((interior.Replay, "interior.Replay()"),)
 BOUNDARY = tuple(
     (m, f"boundary.{m.__name__}()") for m in (boundary.PathSpace, boundary.Projective, boundary.EdgeSampling)
 )
-
-
-def has_steps(texture: Texture) -> bool:
-    """Whether a texture jumps inside of triangles."""
-    return texture.kind == c.TEXTURE_CHECKERBOARD or (
-        texture.kind in (c.TEXTURE_BITMAP, c.TEXTURE_GRID) and texture.filter == c.FILTER_NEAREST
-    )
 
 
 def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> dict[str, Word]:

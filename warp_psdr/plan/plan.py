@@ -17,8 +17,8 @@ from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, Surface
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, transient
-from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, slides_steps, sliding_heights
+from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, steps, transient
+from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.light import joined, passes
 from warp_psdr.plan.motion import motion
@@ -336,6 +336,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         flat=flat,
         uv=uv,
         tangent=bool(b.anisotropic) and scatter,
+        steps=bool(b.stepped()),
         primitives=primitives.kinds(scene),
     )
     lit = LightConfig(
@@ -465,7 +466,7 @@ def _discontinuities(scene: Scene, config: PathConfig, names: list[str]) -> list
             reasons.append(f"{name} moves what is seen in smooth mirrors and glass")
         elif NORMALS in uses and config.scatter and any(_bent(scene, shape) for shape in scene.parameters[name].owners):
             reasons.append(f"{name} moves the curves where interpolated normals turn away")
-        elif slides_steps(scene, name):
+        elif steps.slides(scene, name):
             reasons.append(f"{name} slides a texture with steps")
     reasons += [f"{name} moves what is seen {where}" for name, where in _bending(scene, names).items()]
     return reasons

@@ -29,7 +29,7 @@ from warp_psdr.scene.layout import (
 from warp_psdr.scene.lights.sky_model import TURBIDITIES
 from warp_psdr.scene.lights.sunsky import SkyRecord
 from warp_psdr.scene.materials.tables import PlacedTable
-from warp_psdr.scene.materials.texture_records import TextureRecords, reads_mesh
+from warp_psdr.scene.materials.texture_records import TextureRecords, has_steps, reads_mesh
 from warp_psdr.scene.media.medium_records import MediaRecords
 
 if TYPE_CHECKING:
@@ -276,6 +276,14 @@ class Builder:
         for t in found:
             found += [self.textures[n] for n in self.texture_records.nested_in(t)]
         return found
+
+    def stepped(self) -> dict[int, tuple[int, ...]]:
+        """Return the numbers of the textures that jump inside of triangles, of every shape that has some."""
+        number = {id(t): i for i, t in enumerate(self.textures) if has_steps(t)}
+        if not number:
+            return {}
+        found = {i: {number.get(id(t), -1) for t in self.textures_of(shape)} for i, shape in enumerate(self.shapes)}
+        return {i: tuple(sorted(numbers - {-1})) for i, numbers in found.items() if numbers - {-1}}
 
     def _number_models(self) -> None:
         """Number the models that occur, and lay out their textures alike: one number for each value that any has."""

@@ -9,6 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
+from warp_psdr.kernels.texture.steps import StepTextures
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
 from warp_psdr.topology.film_edges import smooth_edges
 from warp_psdr.topology.interpolated_normals import interpolated_faces
@@ -37,7 +38,20 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
         ("smooth_edge", smooth),
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
+    tables.steps = _step_textures(scene)
     return edges, tables
+
+
+def _step_textures(scene: Scene) -> StepTextures:
+    """Return the textures with steps of every shape."""
+    stepped = scene.builder.stepped()
+    lists = [stepped.get(i, ()) for i in range(len(scene.builder.shapes))]
+    tables = StepTextures()
+    first = np.append(0, np.cumsum([len(numbers) for numbers in lists], dtype=np.int64)).astype(np.int32)
+    tables.first = wp.array(first, dtype=wp.int32, device=scene.device)
+    flat = [number for numbers in lists for number in numbers] or [-1]
+    tables.textures = wp.array(np.array(flat, np.int32), dtype=wp.int32, device=scene.device)
+    return tables
 
 
 def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

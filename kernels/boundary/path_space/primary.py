@@ -22,6 +22,7 @@ from warp_psdr.kernels.boundary.film_edge import (
     rays_beside,
 )
 from warp_psdr.kernels.boundary.local_form import (
+    CURVE,
     EdgePoint,
     Edges,
     barycentrics_at,
@@ -152,7 +153,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         room = sharp_glass(scene, edges, point.edge) * local
         hidden = wp.bool(wp.static(config.rays.hidden))
         first_face = edges.first[point.edge]
-        curve = edges.ends[point.edge, 0] < 0
+        curve = edges.ends[point.edge, 0] == CURVE
         if curve or (touches(scene, point, a, local) and touches(scene, point, b, local)):
             face_a = a.face
             face_b = b.face
@@ -215,7 +216,7 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
         sampler.index = wp.uint32(1)
         ahead = AHEAD * local
         narrow = wp.bool(False)
-        curve = edges.ends[point.edge, 0] < 0
+        curve = edges.ends[point.edge, 0] == CURVE
         first_face = edges.first[point.edge]
         if wp.static(config.material_first):
             # Faces on both sides of an edge of their own keep all of their points.

@@ -42,7 +42,7 @@ def make_timed_primary_kernel(
     """Return the kernel of ``make_primary_kernel`` before a transient film; its functions are ``primary.py``'s."""
     # In reverse mode it would read one adjoint.
     find, _accumulate, _accumulate_side = make_film_edge(config, "forward", camera_moves)
-    accumulate_edge = make_edge_sink(role)
+    accumulate_edge = make_edge_sink(role, config.surfaces.steps)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     _send, send_path = make_timed_light(config, role)
     visibility = visibility_of(config.rays, config.surfaces.primitives)

@@ -32,6 +32,7 @@ from warp_psdr.kernels.primitive.dispatch import make_clear, slides_on
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.surface import VertexAdjoint, point_on
+from warp_psdr.kernels.texture.steps import Step
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -58,7 +59,9 @@ class Crossing:
     aside: wp.float32  # part of the line at which its two sides are looked at; 0: where they differ
     low_lies: wp.int32  # where its lower side lies: 1: up the line, -1: down it, 0: as at its crossing
     both: wp.int32  # 1: the other side of the line is a crossing of its own
-    edge: wp.int32  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``
+    edge: (
+        wp.int32
+    )  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``, 4: ``step``
     point: EdgePoint
     outline: ChainOutline
     segment: Segment  # of the points, face1 (-1: none) is moved along ``boundary_normal1``, face2 along ``sweep``
@@ -69,6 +72,7 @@ class Crossing:
     a_o: wp.vec3
     a_d: wp.vec3
     tied: wp.vec3  # adjoint of what rays from the block's vertex are tied to (form S)
+    step: Step  # phi is a coordinate of the texture's place at ``last``
 
 
 @wp.func

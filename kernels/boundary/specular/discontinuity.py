@@ -1,8 +1,8 @@
 """The discontinuity that a line crosses where the identity of a chain changes, and its implicit equation phi = 0.
 
 Two rays on either side of the crossing are followed in step until they differ at the i-th vertex of the chain. The
-difference (an edge, a curve of intersection, a crease, a horizon, a shadow's edge, a terminator) decides phi, a linear
-form in the velocities.
+difference (an edge, a curve of intersection, a crease, a horizon, a shadow's edge, a terminator, a texture's step)
+decides phi, a linear form in the velocities.
 
 Derivation: ``docs/theory/specular.md#what-a-line-crosses``.
 """
@@ -12,7 +12,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, make_edge_crossing, make_shadow_crossing
+from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, aside, make_edge_crossing, make_shadow_crossing
 from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.chain_touch import SAME
@@ -37,10 +37,14 @@ from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import slides_on
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
+from warp_psdr.kernels.texture.steps import line_beside, place_gradient
 from warp_psdr.kernels.vertex import PathConfig
 
 #: Cosine of the normal of a shape without triangles below which a ray only touches it: where it does has no derivative.
 TANGENT = 1.0e-5
+#: Up to how far from a crossing, in ray epsilons, a step of a texture lies, and its two sides are looked at: the two
+#: ends of a line's finest cell are up to roundings one point.
+STEP_REACH = 3.0
 
 
 @wp.func
@@ -193,6 +197,21 @@ def make_crossing(config: PathConfig):
                     return r
             a_x = point_differential(scene, p, x, d, a)
             b_x = point_differential(scene, p, x, d, b)
+            if wp.static(config.surfaces.steps):
+                if (i > 0 or block.first == 1) and scene.triangles[p.face].shape == scene.triangles[q.face].shape:
+                    step = line_beside(scene, tables.steps, p.face, p.u, p.v, STEP_REACH * scene.ray_epsilon)
+                    if step.texture >= 0:
+                        r.edge = 4
+                        r.step = step
+                        r.last = count + i
+                        r.start.u = step.slopes[0]
+                        r.start.v = step.slopes[1]
+                        gradient = place_gradient(scene.triangles[p.face], step.slopes)
+                        r.phi_a = wp.dot(gradient, a_x.x)
+                        r.phi_b = wp.dot(gradient, b_x.x)
+                        r.aside = aside(scene, block, gradient, STEP_REACH, r.phi_a)
+                        r.valid = 1
+                        return r
             if is_interpolated and p.facing != q.facing and not (crosses and delta):
                 if i == 0 and block.first == 0:
                     return r

@@ -32,6 +32,7 @@ from warp_psdr.kernels.sensor.camera import CameraSample
 from warp_psdr.kernels.sensor.projection import make_splat
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint
+from warp_psdr.kernels.texture.steps import make_slide_sink
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -65,6 +66,7 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
     sliding = has_sliding(config.surfaces.primitives)
     accumulate_outline = make_outline_sink(role, config.surfaces.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
+    accumulate_slide = make_slide_sink(role) if config.surfaces.steps else None
     interaction = make_interaction(config.surfaces, config.lights)
     has_smooth = interaction.eval is not None
     splat, gather = make_splat()
@@ -102,10 +104,12 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
 
         On the curve itself what is met wavers by roundings: the line may cross it an odd number of times there.
         """
-        name = identity(scene, camera, tables.group, tables.interpolated, block, s, max_depth, links)
+        name = identity(scene, camera, tables.group, tables.interpolated, tables.steps, block, s, max_depth, links)
         for k in range(2):
             away = s + (1.0 - 2.0 * wp.float32(k)) * step
-            if name == identity(scene, camera, tables.group, tables.interpolated, block, away, max_depth, links):
+            if name == identity(
+                scene, camera, tables.group, tables.interpolated, tables.steps, block, away, max_depth, links
+            ):
                 return away
         return s
 
@@ -207,6 +211,8 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
                 if not vanishes(value) and w != 0.0:
                     start = VertexAdjoint()
                     start.x = w * r.start.x
+                    start.u = w * r.start.u
+                    start.v = w * r.start.v
                     start.n = w * r.start.n
                     start.c = w * r.start.c
                     speed = pull(
@@ -221,6 +227,11 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
                             speed += accumulate_point(
                                 scene, target, met, met.face1, met.u1, met.v1, w * r.boundary_normal1
                             )
+                    if wp.static(config.surfaces.steps):
+                        if r.edge == 4:
+                            end = visits[r.last]
+                            tri = scene.triangles[end.face]
+                            speed += accumulate_slide(scene, target, r.step.texture, r.step.axis, tri, end.u, end.v, w)
                     if r.edge == 1:
                         speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
                     if wp.static(bool(config.surfaces.primitives)):

@@ -105,11 +105,19 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         for k in range(cells):
             ends[top] = (RESOLUTION // cells) * (cells - k)
             names[top] = identity(
-                scene, camera, tables.group, tables.interpolated, block, unit * wp.float32(ends[top]), max_depth, 0
+                scene,
+                camera,
+                tables.group,
+                tables.interpolated,
+                tables.steps,
+                block,
+                unit * wp.float32(ends[top]),
+                max_depth,
+                0,
             )
             top += 1
         left = wp.int32(0)
-        left_name = identity(scene, camera, tables.group, tables.interpolated, block, 0.0, max_depth, 0)
+        left_name = identity(scene, camera, tables.group, tables.interpolated, tables.steps, block, 0.0, max_depth, 0)
         # The path down the tree: its cell starts as a random root.
         cell = wp.int32(sample_1d(sampler, line.slot) * wp.float32(cells))
         lower = cell * (RESOLUTION // cells)
@@ -134,7 +142,15 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                     middle = (left + end) // 2
                     ends[top] = middle
                     names[top] = identity(
-                        scene, camera, tables.group, tables.interpolated, block, unit * wp.float32(middle), max_depth, 0
+                        scene,
+                        camera,
+                        tables.group,
+                        tables.interpolated,
+                        tables.steps,
+                        block,
+                        unit * wp.float32(middle),
+                        max_depth,
+                        0,
                     )
                     top += 1
                 else:
@@ -157,6 +173,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                     camera,
                     tables.group,
                     tables.interpolated,
+                    tables.steps,
                     block,
                     unit * wp.float32(lower + half),
                     max_depth,

@@ -7,8 +7,9 @@ pattern that is drawn before, with the same probability for all q, so that one p
     F(q) = f_s(y, q) . prod_i beta_i / P_i . L(c_m -> end)         (no f_s on the film; emission of the c_i added),
 
 L by the path tracer. The *identity* of a chain is a hash of what is hit (``tables.group``), on which side of its
-shading normal, on which side of its surface the lobe leaves, and which point, spot and directional lights reach its
-end: F is continuous where the identity does not change. Two of them agree by accident with probability 2^-32.
+shading normal, in which cells of textures with steps, on which side of its surface the lobe leaves, and which point,
+spot and directional lights reach its end: F is continuous where the identity does not change. Two of them agree by
+accident with probability 2^-32.
 """
 
 import functools
@@ -27,6 +28,7 @@ from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
+from warp_psdr.kernels.texture.steps import StepTextures, cell_name
 from warp_psdr.kernels.vertex import PathConfig, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -248,10 +250,10 @@ def make_lit(config: PathConfig):
 
 @functools.cache
 def make_identity(config: PathConfig):
-    """Return ``identity(scene, camera, group, interpolated, block, s, max_depth, links) -> uint32``.
+    """Return ``identity(scene, camera, group, interpolated, steps, block, s, max_depth, links) -> uint32``.
 
     ``group`` numbers the faces such that coplanar neighbours are one; ``interpolated`` marks faces with interpolated
-    normals.
+    normals; ``steps`` are the textures with steps.
     Where the first segment belongs to others, what ends there is not told apart. ``links``: how many of the first
     vertices count, without what lights them; 0: all, with it.
     """
@@ -266,6 +268,7 @@ def make_identity(config: PathConfig):
         camera: Camera,
         group: wp.array(dtype=wp.int32),
         interpolated: wp.array(dtype=wp.int32),
+        steps: StepTextures,
         block: Block,
         s: wp.float32,
         max_depth: wp.int32,
@@ -290,6 +293,9 @@ def make_identity(config: PathConfig):
                         if is_primitive_at(scene, link.face):
                             h = hash_combine(h, patch(scene, link.face, link.u, link.v, link.facing))
             if link.face >= 0:
+                if wp.static(config.surfaces.steps):
+                    if (block.first == 1 or i > 0) and not is_primitive_at(scene, link.face):
+                        h = hash_combine(h, cell_name(scene, steps, link.face, link.u, link.v))
                 if interpolated[link.face] == 1 and (block.first == 1 or i > 0):
                     h = hash_combine(h, link.facing)
                 if interpolated[link.face] == 1 and link.kind == MEETS_DELTA:

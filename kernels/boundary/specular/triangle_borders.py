@@ -8,6 +8,7 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.reading import load_vec3
 from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.texture.steps import StepTextures
 
 #: A hit counts as on the rim of its triangle within this fraction of the height above it, or this many ray epsilons.
 #: Neighbouring rays are that far apart on what they see edge-on; of what lies farther inside, no edge is crossed. Of a
@@ -24,6 +25,7 @@ class Tables:
     interpolated: wp.array(dtype=wp.int32)  # 1: interpolated normals differ from the face's
     face_edges: wp.array(dtype=wp.int32)  # (3 n) edge opposite of each corner; -1: none
     smooth_edge: wp.array(dtype=wp.int32)
+    steps: StepTextures
 
 
 @wp.struct

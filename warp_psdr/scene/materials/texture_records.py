@@ -26,6 +26,13 @@ def reads_mesh(t: TextureDescription) -> bool:
     return any(leaf.kind == "mesh_attribute" for leaf in t.leaves)
 
 
+def has_steps(texture: structs.Texture) -> bool:
+    """Whether a texture jumps inside of triangles."""
+    return texture.kind == c.TEXTURE_CHECKERBOARD or (
+        texture.kind in (c.TEXTURE_BITMAP, c.TEXTURE_GRID) and texture.filter == c.FILTER_NEAREST
+    )
+
+
 class TextureRecords:
     """Records of the textures of a scene.
 

@@ -1,4 +1,4 @@
-"""Shadow edges of point, spot and directional lights alone."""
+"""Shadow edges of point, spot and directional lights alone, between surfaces and in media."""
 
 from __future__ import annotations
 
@@ -8,12 +8,15 @@ import warp as wp
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
+from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.kernels.structs import Emitter
 from warp_psdr.kernels.structs import Scene as SceneData
 from warp_psdr.options.boundary import EdgeSampling
+from warp_psdr.options.words import words
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.lights.light_sampling import cumulative
+from warp_psdr.topology.edges_there import secondary_edges_there
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 
@@ -45,6 +48,24 @@ def launch(r: Request) -> Term | None:
     return term_of(r, TERM, kernel, head, samples)
 
 
+def applies_in_media(r: Request) -> bool:
+    """Whether there is such a light, and edges, lights or the camera move."""
+    return r.config.media is not None and r.moves.edges and applies(r)
+
+
+def launch_in_media(r: Request) -> Term | None:
+    """Return the term of the shadow edges of point, spot and directional lights, of what is there."""
+    edges = secondary_edges_there(r.scene, set(r.moves.shapes))
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    deep = r.plan.max_depth != 2
+    kernel = make_media_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, deep, r.moves.grids)
+    # No share of the wedge: every sample goes to a light.
+    head = [point_like_lights(r), r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
+    return term_of(r, IN_MEDIA, kernel, head, samples)
+
+
 TERM = BoundaryTerm(
     name="hard_shadows",
     title="{} hard shadows",
@@ -53,4 +74,13 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     splits=True,
+)
+IN_MEDIA = BoundaryTerm(
+    name="media_hard_shadows",
+    title="hard shadows in media",
+    stream=11,
+    methods=(EdgeSampling,),
+    launch=launch_in_media,
+    applies=applies_in_media,
+    knows=words("media"),
 )

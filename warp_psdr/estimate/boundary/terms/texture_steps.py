@@ -1,0 +1,66 @@
+"""Steps of textures: those that the camera sees move, and those that slide over surfaces at other path vertices."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
+from warp_psdr.kernels.boundary.path_space.sliding_steps import make_sliding_steps_kernel
+from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
+from warp_psdr.options.words import words
+from warp_psdr.plan.motion import seen_steps
+from warp_psdr.topology.texture_steps import film_lines, world_lines
+
+#: Least share of the samples that the lines on the film take; they take all where they are a pixel apart.
+LEAST_SHARE = 0.125
+
+
+def launch_seen(r: Request) -> Term | None:
+    """Return the term of the steps that the camera sees move."""
+    carriers = frozenset() if r.config.shown else seen_steps(r.scene, r.config, r.moves)
+    found = film_lines(r.scene, r.sensor, carriers) if carriers else None
+    if found is None:
+        return None
+    edges, length = found
+    share = float(np.clip(length / r.pixels, LEAST_SHARE, 1.0))
+    samples = math.ceil(r.pixels * (r.method.spp_primary or r.spp) * share)
+    kernel = make_primary_kernel(r.config, r.role, r.moves.camera)
+    return term_of(r, SEEN, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
+def slides_unseen(r: Request) -> bool:
+    """Whether steps slide over surfaces, and paths have vertices that the camera does not see."""
+    return bool(r.moves.steps) and r.lit and r.scatters_smoothly
+
+
+def launch_sliding(r: Request) -> Term | None:
+    """Return the term of the steps that slide over surfaces, at vertices that the camera does not see."""
+    edges = world_lines(r.scene, r.moves.steps)
+    if edges is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_sliding_steps_kernel(r.config, r.role, r.moves.camera)
+    return term_of(r, SLIDING, kernel, [r.scene.data(), r.camera, edges], samples)
+
+
+SEEN = BoundaryTerm(
+    name="texture_steps",
+    title="steps of textures",
+    stream=9,
+    methods=(PathSpace, Projective, EdgeSampling),
+    launch=launch_seen,
+    knows=words("material_points", "slides", "media", "transient"),
+    recorded="primary",
+)
+SLIDING = BoundaryTerm(
+    name="sliding_steps",
+    title="steps that slide over surfaces",
+    stream=10,
+    methods=(PathSpace, Projective, EdgeSampling),
+    launch=launch_sliding,
+    applies=slides_unseen,
+    knows=words("material_points", "slides"),
+)

@@ -1,0 +1,177 @@
+"""Lines along which textures jump inside of triangles: the borders of a checkerboard's fields, and of nearest texels.
+
+A texture's *place* is its coordinate in units of its cells (``kernels/texture/steps.py``), linear over a triangle; each
+whole number that a coordinate takes there is a line, from one side of the triangle to another. One that runs along a
+side is listed once, on the triangle above it, where nothing but the texture jumps across that side.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.boundary.local_form import STEP
+from warp_psdr.topology.camera_view import camera_view
+from warp_psdr.topology.edges import Adjacency, scene_adjacency, upload
+from warp_psdr.topology.faces import face_edges
+from warp_psdr.topology.film_edges import smooth_edges
+
+if TYPE_CHECKING:
+    from warp_psdr.kernels.boundary.local_form import Edges
+    from warp_psdr.kernels.structs import Shape
+    from warp_psdr.scene.scene import Scene
+
+#: Pairs of a shape and a texture of it.
+Carriers = frozenset[tuple[int, int]]
+#: Most lines of a scene: half a gigabyte.
+MOST = 1 << 21
+
+
+def film_lines(scene: Scene, sensor: int, carriers: Carriers) -> tuple[Edges, float] | None:
+    """Return the lines that a camera may see, drawn by the clipped length of their image; None: none.
+
+    Second is that length, in pixels.
+
+    Raises:
+        ValueError: there are too many lines.
+    """
+    lines = _lines(scene, carriers)
+    low, high, length = camera_view(scene, sensor).clip(lines.points)
+    keep = np.flatnonzero(length > 0.0)
+    if not len(keep):
+        return None
+    return upload(scene, lines, keep, length[keep], low[keep], high[keep]), float(length[keep].sum())
+
+
+def world_lines(scene: Scene, carriers: Carriers) -> Edges | None:
+    """Return all lines, drawn by their length; None: there are none.
+
+    Raises:
+        ValueError: there are too many lines.
+    """
+    lines = _lines(scene, carriers)
+    n = len(lines.length)
+    return upload(scene, lines, np.arange(n), lines.length, np.zeros(n), np.ones(n)) if n else None
+
+
+def too_many(scene: Scene, carriers: Carriers) -> str:
+    """Say which texture has more lines than can be listed; empty: none."""
+    total = 0
+    for carrier in sorted(carriers):
+        _faces, place = _places(scene, carrier)
+        spans = np.floor(place.max(axis=1)) - np.floor(place.min(axis=1))
+        total += int(spans.sum())
+        if total > MOST:
+            path = scene.description.shapes[carrier[0]].path
+            return f"the textures with steps of {path!r} and others have more than {MOST:,} lines on their triangles"
+    return ""
+
+
+def _lines(scene: Scene, carriers: Carriers) -> Adjacency:
+    """Return the lines of some textures on some shapes as edges of one face; kept until they change."""
+    edges = scene_adjacency(scene)
+    key = (carriers, *_read(scene, carriers))
+    kept = getattr(scene, "_texture_lines", None)
+    if kept is not None and kept[0] is edges and kept[1] == key:
+        return kept[2]
+    if too_many(scene, carriers):
+        raise ValueError(f"{too_many(scene, carriers)}; use bilinear bitmaps, or fewer cells")
+    parts = [_lines_of(scene, carrier) for carrier in sorted(carriers)]
+    faces, ends, twins, points = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    n = len(faces)
+    found = Adjacency(
+        ends=ends,
+        twins=twins,
+        faces=faces,
+        first=np.arange(n + 1, dtype=np.int32),
+        wedge=np.zeros(n),
+        length=np.linalg.norm(points[:, 1] - points[:, 0], axis=1),
+        points=points,
+        group=edges.group,
+    )
+    scene._texture_lines = (edges, key, found)  # type: ignore[attr-defined]
+    return found
+
+
+def _read(scene: Scene, carriers: Carriers) -> list[bytes]:
+    """Return what lines depend on besides positions."""
+    b, flat = scene.builder, scene.values.numpy()
+    found = []
+    for carrier in sorted(carriers):
+        shape, at = b.shapes[carrier[0]], b.textures[carrier[1]].to_uv
+        found.append(flat[at : at + 9].tobytes())
+        if shape.has_uv == 1:
+            first = shape.uv_offset + 2 * shape.first_vertex
+            found.append(flat[first : first + 2 * shape.vertex_count].tobytes())
+    return found
+
+
+def _places(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the faces of a shape, (F,), and the texture's place at their corners, (F, 3, 2)."""
+    b, flat = scene.builder, scene.values.numpy()
+    shape, texture = b.shapes[carrier[0]], b.textures[carrier[1]]
+    faces = np.flatnonzero(b.face_shape == carrier[0])
+    uv = _texcoords(flat, shape, b.indices[faces])
+    matrix = flat[texture.to_uv : texture.to_uv + 9].astype(np.float64).reshape(3, 3)
+    cells = (2.0, 2.0) if texture.kind == c.TEXTURE_CHECKERBOARD else (texture.width, texture.height)
+    return faces, (uv @ matrix[:2, :2].T + matrix[:2, 2]) * np.asarray(cells, np.float64)
+
+
+def _texcoords(flat: np.ndarray, shape: Shape, corners: np.ndarray) -> np.ndarray:
+    """Return the texture coordinates of triangles' corners, (F, 3, 2); barycentrics where a shape has none."""
+    if shape.has_uv == 0:
+        return np.broadcast_to(np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), (len(corners), 3, 2))
+    at = shape.uv_offset + 2 * corners
+    return np.stack([flat[at], flat[at + 1]], axis=2).astype(np.float64)
+
+
+def _lines_of(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Return the lines of a texture on a shape: faces, ends, twins, points (``kernels/boundary/local_form.Edges``)."""
+    faces, place = _places(scene, carrier)
+    corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
+    found = []
+
+    def add(axis: int, own: np.ndarray, ends: np.ndarray) -> None:
+        marks = [np.tile(np.array([int(STEP), value], np.int32), (len(own), 1)) for value in (carrier[1], axis)]
+        found.append((faces[own].astype(np.int32), *marks, ends))
+
+    for axis in range(2):
+        s = place[:, :, axis]
+        first, last = np.floor(s.min(axis=1)) + 1.0, np.ceil(s.max(axis=1)) - 1.0
+        count = np.maximum(last - first + 1.0, 0.0).astype(np.int64)
+        face = np.repeat(np.arange(len(faces)), count)
+        level = first[face] + np.arange(len(face)) - np.repeat(np.cumsum(count) - count, count)
+        own, p = s[face], corners[face]
+        ends = np.zeros((len(face), 2, 3))
+        met = np.zeros(len(face), np.int64)
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            crossed = ((own[:, a] < level) != (own[:, b] < level)) & (met < 2)
+            rows = np.flatnonzero(crossed)
+            at = ((level - own[:, a])[rows] / (own[:, b] - own[:, a])[rows])[:, None]
+            ends[rows, met[rows]] = (1.0 - at) * p[rows, a] + at * p[rows, b]
+            met[rows] += 1
+        keep = (met == 2) & (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.0)
+        add(axis, face[keep], ends[keep])
+        beside, alone = _along_sides(scene, faces, s)
+        add(axis, beside, np.stack([corners[beside, (alone + 1) % 3], corners[beside, (alone + 2) % 3]], axis=1))
+    faces_of, ends_of, twins_of, points_of = (np.concatenate([part[k] for part in found]) for k in range(4))
+    return faces_of, ends_of, twins_of, points_of
+
+
+def _along_sides(scene: Scene, faces: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which faces have a line along a side below them, and the corner opposite of it.
+
+    Across the side nothing but the texture may jump.
+    """
+    low = s.min(axis=1)
+    on = s == low[:, None]
+    own = np.flatnonzero((on.sum(axis=1) == 2) & (low == np.floor(low)))
+    alone = (~on[own]).argmax(axis=1)
+    if not len(own):
+        return own, alone
+    edges = scene_adjacency(scene)
+    side = face_edges(scene, edges)[faces[own], alone]
+    keep = (side >= 0) & smooth_edges(scene, edges)[side]
+    return own[keep], alone[keep]
