@@ -125,7 +125,9 @@ def test_both_modes_agree_on_an_index_of_refraction() -> None:
     ],
 )  # fmt: skip
 def test_what_moves_beside_a_null_lobe_is_refused_by_name(bsdf: dict, light: dict, name: str, match: str) -> None:
-    scene = scene_with(veil={"type": "rectangle", "bsdf": bsdf}, lamp=light)
+    scene = scene_with(
+        veil={"type": "rectangle", "to_world": psdr.Transform.translate([0, 0, 0.1]), "bsdf": bsdf}, lamp=light
+    )
     params = psdr.traverse(scene)
     params.requires_grad(name)
     with pytest.raises(ValueError, match=match):

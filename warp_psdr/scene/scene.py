@@ -33,6 +33,7 @@ from warp_psdr.scene.media.super_grid import rebuild
 from warp_psdr.scene.origin import COLLAPSING
 from warp_psdr.scene.pages import flat_values
 from warp_psdr.scene.poses import Poses
+from warp_psdr.scene.shapes import interfaces
 from warp_psdr.scene.shapes.instances import Instances
 from warp_psdr.scene.shapes.shading import shades_flat
 from warp_psdr.scene.shapes.steps import Boxes, Steps, find_steps, measure, second_width
@@ -105,7 +106,7 @@ class Scene:
         self._world = World(self.values, self.origin, self.parameters.values())
         self._left = False
         self.steps: Steps
-        self._boxes: Boxes
+        self.boxes: Boxes
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
@@ -139,6 +140,8 @@ class Scene:
         self.accelerator.rebuild()
         self._shades_flat = None
         self._update_bounds()
+        self._nulls = interfaces.null_shapes(self)
+        self._part_interfaces(None)
         self._world.show(self.parameters.values())
         self._note_specks()
         self.lights = Lights(builder, self.device)
@@ -360,6 +363,11 @@ class Scene:
             if self._sight is not None:
                 self._sight.update()
             self._update_bounds()
+            parted = self._part_interfaces(moved)
+            moved |= parted
+            positions = [p for p in self.parameters.values() if POSITIONS in p.uses and p.owner in parted]
+            self._world.show(positions)
+            changed = [*changed, *positions]
         sky = follow_sky(self, changed)
         values = self.values.numpy()
         check_media(changed, values)
@@ -391,13 +399,30 @@ class Scene:
             mesh = [self.values, self.positions, self.indices, self._face_shape, self._orientation, record.first_face]
             launch(update_triangles, dim=record.face_count, inputs=mesh, outputs=[self.triangles], device=self.device)
 
+    def _part_interfaces(self, moved: set[int] | None) -> set[int]:
+        """Move what is not there off what it lies on, and return the shapes that were moved.
+
+        Args:
+            moved: Shapes that have moved since the last call; None: the scene is new.
+        """
+        parted = interfaces.part(self, self._nulls, moved) if self._nulls else {}
+        if parted:
+            self._update_triangles(sorted(parted))
+            self.accelerator.update()
+            if self._sight is not None:
+                self._sight.update()
+            self._update_bounds()
+        if moved is None:
+            self.description.notes += interfaces.notes(self, parted)
+        return set(parted)
+
     def _update_bounds(self) -> None:
         """Radius of the bounding sphere and length of the step off a surface."""
         points = self.points
-        self._boxes = measure(points, [(s.first_vertex, s.vertex_count) for s in self.builder.shapes])
+        self.boxes = measure(points, [(s.first_vertex, s.vertex_count) for s in self.builder.shapes])
         low, high = np.zeros(3), np.zeros(3)
         if self.vertex_count:
-            low, high = self._boxes.low.min(axis=0), self._boxes.high.max(axis=0)
+            low, high = self.boxes.low.min(axis=0), self.boxes.high.max(axis=0)
         if not (np.isfinite(low).all() and np.isfinite(high).all()):
             raise ValueError(
                 "vertex positions hold NaN or infinity after the last edit; restore finite values "
@@ -418,7 +443,7 @@ class Scene:
 
     def _update_steps(self, points: np.ndarray) -> None:
         first_face = [s.first_face for s in self.builder.shapes]
-        self.steps = find_steps(points, self.builder.indices, first_face, self._boxes, self.ray_epsilon)
+        self.steps = find_steps(points, self.builder.indices, first_face, self.boxes, self.ray_epsilon)
         steps = [float(step) for step in self.steps.shapes.astype(np.float32)]
         if steps != [s.edge_step for s in self.builder.shapes]:
             for record, step in zip(self.builder.shapes, steps, strict=True):
@@ -428,7 +453,7 @@ class Scene:
     def _note_specks(self) -> None:
         """Tell of shapes that are small for the steps by which rays leave surfaces."""
         mirrors = has_delta_lobes(self.builder.models)
-        for number, (shape, size) in enumerate(zip(self.description.shapes, self._boxes.size.tolist(), strict=True)):
+        for number, (shape, size) in enumerate(zip(self.description.shapes, self.boxes.size.tolist(), strict=True)):
             if self.steps.scene and size < SPECK * self.steps.behind[number]:
                 self.description.notes.append(
                     f"'{shape.path}' is too small for what it touches, or for its place: rays pass its edges at "
