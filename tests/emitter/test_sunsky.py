@@ -102,7 +102,7 @@ def test_what_follows_its_parameters_is_that_of_a_new_scene():
         ("sun_direction", 0.0, "no length"),
     ):
         state = params[f"sky.{name}"].numpy().copy()
-        params[f"sky.{name}"] = value
+        params[f"sky.{name}"].fill_(value)
         with pytest.raises(ValueError, match=rf"sky\.{name}.*{words}"):
             params.update()
         params[f"sky.{name}"] = state

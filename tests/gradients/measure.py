@@ -114,8 +114,8 @@ def image_at(scene, params, name, values, depth, spp, seed):
     follow = [n for n in (name.removesuffix("vertex_positions") + "vertex_normals",) if n != name and n in params]
     normals = {n: params[n].numpy().copy() for n in follow if name.endswith("vertex_positions")}
     try:
-        params[name] = values
-        params.update()
+        params[name].assign(values.astype(np.float32))  # in place: a step may leave the parameter's range
+        params.update(name)
         return psdr.render(scene, integrator=integrator(depth), spp=spp, seed=seed).numpy().astype(np.float64)
     finally:
         params[name] = before

@@ -232,7 +232,7 @@ def test_edits_stay_in_range():
         }
     )
     params = psdr.traverse(scene)
-    params["cube.interior_medium.sigma_t.value.value"] = -0.5
+    params["cube.interior_medium.sigma_t.value.value"].assign(np.array([-0.5], np.float32))
     with pytest.raises(ValueError, match=r"sigma_t.value.value is \[-0.5\] after an edit; write finite values of at l"):
         params.update()
     params["cube.interior_medium.sigma_t.value.value"] = 0.0

@@ -100,6 +100,9 @@ def test_values_read_back_whatever_they_were_written_from(loaded):
         (ALBEDO, np.inf, "3 numbers are NaN or infinite"),
         (ALBEDO, "red", "expected numbers of shape"),
         (ALBEDO, [[0.1], [0.2, 0.3]], "expected numbers of shape"),
+        (ALBEDO, [-0.1, 0.2, 0.3], r"1 of 3 values out of range \(from -0.1 to 0.3\); give values between 0 and 1"),
+        (RADIANCE, -1.0, "3 of 3 values out of range .*; give values at least 0"),
+        ("sensor.x_fov", 180.0, "give values between 0.001 and 179"),
     ],
 )
 def test_bad_values_are_refused_and_nothing_changes(loaded, name, values, message):

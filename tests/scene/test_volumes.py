@@ -175,7 +175,7 @@ def test_edits_stay_in_range():
     params, name = psdr.traverse(scene), "cube.interior_medium.sigma_t.data"
     values = VALUES.copy()
     values[0, 0, :2] = -0.5
-    params[name] = values
+    params[name].assign(values.reshape(params[name].shape))  # in place, which the next update looks at
     with pytest.raises(ValueError, match=r"sigma_t.data is -0.5 in 2 of 24 places after an edit; write finite values"):
         params.update()
     params[name] = VALUES

@@ -286,15 +286,17 @@ def load_problem(config: FitConfig) -> Problem:
     for name, unknown in config.parameters.items():
         if name not in params:
             raise ValueError(f"fit config: parameters: {_no_parameter(params, name)}")
-        if unknown.initial is not None:
-            params[name] = _initial(name, unknown.initial, params[name].numpy())
         low, high = params.bounds(name)
         values = params[name].numpy()
+        if unknown.initial is not None:
+            values = _initial(name, unknown.initial, values)
         if values.min() < low or values.max() > high:
             raise ValueError(
                 f"fit config: parameters.{name!r}: starts with values from {values.min():.4g} to {values.max():.4g}, "
                 f"expected them in [{low:g}, {high:g}]; give another initial value"
             )
+        if unknown.initial is not None:
+            params[name] = values
     params.update()
     params.requires_grad(*config.parameters)
     integrator = replace(from_description(scene.description.integrator), **integrator_options(config.integrator))
@@ -442,10 +444,6 @@ def _restore(path: Path, problem: Problem, adam: optim.Adam, run: dict[str, Any]
         for name in problem.config.parameters:
             found = arrays[f"parameter/{name}"].astype(np.float32)
             problem.params[name] = found
-            low, high = problem.params.bounds(name)
-            if found.min() < low or found.max() > high:
-                ends = f"from {found.min():.4g} to {found.max():.4g}"
-                raise ValueError(f"{name!r} has values {ends}, expected them in [{low:g}, {high:g}]")
             if problem.scene.origin.any():
                 stored = arrays[f"stored/{name}"]
                 if stored.shape != problem.stored(name).shape or not np.isfinite(stored).all():

@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_psdr import html
 from warp_psdr.scene.loaded import check_loaded
+from warp_psdr.scene.materials.spectra import check_range
 
 if TYPE_CHECKING:
     from warp_psdr.scene.layout import Parameter
@@ -148,11 +149,14 @@ class Parameters(Mapping):
 
         Raises:
             KeyError: there is no such parameter.
-            ValueError: a wrong shape, or values that are not finite.
+            ValueError: a wrong shape, values that are not finite, or out of the parameter's range (``bounds``). What is
+                written in place (``params[name].assign``) is looked at for media and grids of shapes alone.
         """
         # What is single precision already is compared with what is there in single precision, and kept where equal.
         single = isinstance(values, wp.array) or getattr(values, "dtype", None) == np.float32
-        self._scene.place(name, self.check(name, values, "value", np.float32 if single else np.float64))
+        checked = self.check(name, values, "value", np.float32 if single else np.float64)
+        check_range(checked.astype(np.float32, copy=False), "params", *self.bounds(name), repr(name))
+        self._scene.place(name, checked)
         self._scene.pending.add(name)
 
     def check(self, name: str, values, what: str, dtype: type = np.float32) -> np.ndarray:
