@@ -190,6 +190,9 @@ def test_spectra_integrate_white_to_one_and_red_to_red():
 # -- lights ------------------------------------------------------------------------------------------------------------
 
 
+AREA = {"type": "rectangle", "emitter": {"type": "area"}}
+
+
 def test_lights():
     lights = {
         light.path: light
@@ -206,6 +209,20 @@ def test_lights():
     assert (lights["spot"].cutoff_angle, lights["spot"].beam_width) == (40.0, 30.0)
     assert lights["spot"].radiance.value.tolist() == [2.0] * 3
     np.testing.assert_allclose(lights["sun"].to_world[:3, 2], [0.0, -1.0, 0.0])
+    # As in Mitsuba, a shape may have a light that is not its surface: it stays in its place, and the shape is black.
+    spot = {"type": "spot", "to_world": Transform.translate([0, 0, 5]), "intensity": 3.0}
+    found = describe(ball={"type": "sphere", "center": [1, 0, 0], "light": spot}, area=AREA)
+    assert [(light.path, light.kind) for light in found.emitters[1:]] == [
+        ("ball.emitter", "spot"),
+        ("area.emitter", "area"),
+    ]
+    assert found.emitters[1].to_world[:3, 3].tolist() == [0.0, 0.0, 5.0] and found.shapes[0].emitter is None
+    assert found.shapes[0].bsdf.textures["reflectance"].value.tolist() == [0.0]
+    for light in ({"type": "constant"}, {"type": "ref", "id": "there"}):
+        with pytest.raises(
+            ValueError, match=r"emitter inside a shape; shapes take 'area', .*'spot'.*; move it to the sc"
+        ):
+            describe(there={"type": "spot"}, ball={"type": "sphere", "light": light})
     np.testing.assert_allclose(np.linalg.det(lights["sun"].to_world), 1.0, rtol=1e-6)
 
 

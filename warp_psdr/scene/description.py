@@ -175,7 +175,8 @@ class ShapeDescription:
     texcoords: np.ndarray | None = None  #: (N, 2)
     flip_normals: bool = False
     attributes: dict[str, np.ndarray] = field(default_factory=dict)  #: "vertex_*": (N, C), "face_*": (M, C)
-    emitter: EmitterDescription | None = None
+    emitter: EmitterDescription | None = None  #: its surface shines
+    carried: EmitterDescription | None = None  #: a light that it has, but whose place is its own
     #: ``to_world`` is a parameter: vertices = to_world @ local_vertices, normals by the inverse transpose. None: the
     #: matrix has no inverse, or the shape is part of a group.
     to_world: np.ndarray | None = None  #: (4, 4)

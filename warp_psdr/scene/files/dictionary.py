@@ -146,8 +146,7 @@ def _add(result: SceneDescription, node: dict, where: str, name: str, context: C
     if category == "shape":
         for shape in groups.build(node, where, name, context):
             result.shapes.append(shape)
-            if shape.emitter is not None:
-                result.emitters.append(shape.emitter)
+            result.emitters += [light for light in (shape.emitter, shape.carried) if light is not None]
             if shape.sensor is not None:
                 result.sensors.append(shape.sensor)
     elif category == "emitter" and node["type"] in ("area", "directionalarea"):

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 #: Lights that are in a place, and may name the medium there.
 IN_MEDIA = ("point", "spot", "projector")
+#: Lights that a shape may have, as in Mitsuba: they stay where their own pose has them, and its surface does not shine.
+CARRIED = (*IN_MEDIA, "directional")
 
 
 def build(node: dict, where: str, path: str, context: Context) -> EmitterDescription:
@@ -68,7 +70,9 @@ def build_area(node: dict, where: str, path: str, context: Context, *, shared: b
 
 def _area(props: Properties) -> EmitterDescription:
     if props.type not in ("area", "directionalarea"):
-        remedy = "shapes take 'area' or 'directionalarea'; move it to the scene"
+        remedy = (
+            f"shapes take 'area', 'directionalarea' and {', '.join(map(repr, CARRIED))} in place; move it to the scene"
+        )
         raise error(props.where, f"a '{props.type}' emitter inside a shape", remedy)
     _ignore_weights(props)
     if props.type == "directionalarea":

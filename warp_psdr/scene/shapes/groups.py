@@ -96,7 +96,7 @@ def _member(found: list[ShapeDescription], node: dict, where: str, path: str, co
     if node["type"] in ("shapegroup", "instance", "merge"):
         raise error(where, f"a '{node['type']}' inside a 'shapegroup'", "put its shapes into the group themselves")
     shape = shapes.build(node, where, path, context)
-    if shape.emitter is not None:
+    if shape.emitter is not None or shape.carried is not None:
         raise error(
             where, "an emitter on a shape of a 'shapegroup'", "instances do not shine: put the shape in the scene"
         )

@@ -62,7 +62,8 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     lights = props.children("emitter")
     meters = props.children("sensor")
     bsdf = _bsdf(props, shines=bool(lights))
-    emitter = _light(props, lights)
+    carried = _carried_light(props, lights)
+    emitter = None if carried else _light(props, lights)
     if geometry is not None and props.type == "obj":
         _note_picture(props, bsdf)
     sides = media.take_sides(props, bsdf)
@@ -88,7 +89,7 @@ def build(node: dict, where: str, path: str, context: Context) -> ShapeDescripti
     shape.flip_normals = flip != mirrored_sphere
     if emitter is not None and emitter.kind == "directionalarea":
         check_flat(shape, lights[0][2])
-    shape.emitter = emitter
+    shape.emitter, shape.carried = emitter, carried
     shape.sensor = meter
     shape.interior, shape.exterior = sides["interior"], sides["exterior"]
     if emitter is not None:
@@ -280,6 +281,16 @@ def _note_picture(props: Properties, bsdf: bsdfs.BsdfDescription) -> None:
             "name it in the shape's bsdf, {'type': 'diffuse', 'reflectance': {'type': 'bitmap', 'filename': "
             f"'{name}'}}}}, or take the materials over with psdr.load_mesh"
         )
+
+
+def _carried_light(props: Properties, nested: list[tuple[str, dict, str]]) -> EmitterDescription | None:
+    """Return the light that a shape has, but whose surface does not shine; None: there is none."""
+    if not nested or nested[0][1]["type"] not in emitters.CARRIED:
+        return None
+    key, node, where = nested[0]
+    if node is not props.node[key]:  # a reference: it is in the scene already
+        return None
+    return props.context.attempt(lambda: emitters.build(node, where, f"{props.path}.emitter", props.context), None)
 
 
 def _light(props: Properties, nested: list[tuple[str, dict, str]]) -> EmitterDescription | None:
