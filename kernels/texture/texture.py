@@ -3,7 +3,7 @@
 A bitmap's texel (column i, row j) has its centre at texture coordinates ((i + 1/2) / width, (j + 1/2) / height): the
 first stored row lies at v = 0 (Mitsuba's convention). Bilinear interpolation is differentiable in the coordinates (a
 texture that slides over the film, ``to_uv``) and linear in the texels. Nearest-neighbour look-ups are constant between
-texel borders: their derivative by the coordinates is a boundary term, and the plan refuses such bitmaps if they slide.
+texel borders: their derivative by the coordinates is a boundary term (``steps.py``).
 The same holds for a checkerboard, whose fields are half a unit wide: it is its first texture where both or none of the
 fractional parts of the coordinates are above 1/2, and its second elsewhere. A scaled texture is its first texture times
 the number at its offset (``mesh_attribute`` with a ``scale``).

@@ -134,10 +134,6 @@ def test_the_plan_says_which_method_it_chose() -> None:
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator()).boundary is None
 
 
-NEAREST = {
-    "type": "diffuse",
-    "reflectance": {"type": "bitmap", "bitmap": np.ones((4, 4, 3), np.float32), "filter_type": "nearest"},
-}
 FLUSH = ([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], [[0, 1, 2], [0, 3, 1]])
 UNCOVERED = {
     "mirror": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, -1, "set max_depth to 16"),
@@ -147,7 +143,6 @@ UNCOVERED = {
         2,
         "more than two triangles",
     ),
-    "steps": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, NEAREST)}, 2, "jumps inside of triangles"),
     "cone": (
         under({"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}),
         2,

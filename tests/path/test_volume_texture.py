@@ -89,7 +89,7 @@ def test_nearest_voxels_may_not_slide():
     params = psdr.traverse(loaded)
     for name in ("cube.bsdf.reflectance.volume.to_world", "cube.to_world", "camera.to_world"):
         params.requires_grad_only(name)
-        with pytest.raises(ValueError, match=r"trilinear|jumps inside of triangles"):
+        with pytest.raises(ValueError, match="trilinear"):
             psdr.plan(loaded, params)
 
 
