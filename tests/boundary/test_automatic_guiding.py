@@ -14,6 +14,7 @@ from .test_guided_surfaces import crowd
 OCCLUDER = "occluder.vertex_positions"
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
 SPP = 32
+WAITS = "once gradients have cost what compiling {}, if it says that it pays"
 
 
 def adjoint() -> np.ndarray:
@@ -34,8 +35,9 @@ def loaded():
 
 
 @pytest.fixture
-def soft(loaded):
-    """Nothing is known of the scene."""
+def soft(loaded, monkeypatch: pytest.MonkeyPatch):
+    """Nothing is known of the scene, and kernels cost nothing."""
+    monkeypatch.setattr(automatic, "KERNEL_COST", dict.fromkeys(automatic.KERNEL_COST, 0))
     psdr.guiding.reset(loaded[0])
     yield loaded
     psdr.guiding.set_automatic(loaded[0], True)
@@ -56,7 +58,7 @@ def guided(scene, params) -> tuple[str, str]:
 @pytest.mark.slow
 def test_a_repeated_gradient_is_guided_where_that_pays(soft) -> None:
     scene, params = soft
-    assert guided(scene, params) == ("none", "from a repeated gradient on, if a pilot says that it pays")
+    assert guided(scene, params) == ("none", WAITS.format("a pilot's kernels does"))
     plain = [gradient(scene, params, seed, psdr.boundary.PathSpace()) for seed in range(8)]
     calls = [gradient(scene, params, seed) for seed in range(8)]
     np.testing.assert_array_equal(calls[0], plain[0], "the first one costs what it cost")
@@ -135,9 +137,31 @@ def test_it_waits_until_a_pilot_is_affordable(soft, monkeypatch: pytest.MonkeyPa
     assert not any(decided[:5]) and decided[-1] and state.said == "no shadow edge moves"
 
 
+@pytest.mark.parametrize("call", [0, SPP * SIZE**2], ids=["samples alone", "calls, too"])
+def test_it_waits_until_gradients_have_cost_what_its_kernels_do(soft, monkeypatch: pytest.MonkeyPatch, call) -> None:
+    """A kernel costs as much as four gradients: a pilot of edges, which has three, waits for twelve."""
+    scene, params = soft
+    for name, cost in (("KERNEL_COST", 4 * SPP * SIZE**2), ("CALL_COST", call)):
+        monkeypatch.setattr(automatic, name, dict.fromkeys(getattr(automatic, name), cost))
+    monkeypatch.setattr(automatic, "_batch", lambda *_arguments: (np.zeros(3 * params[OCCLUDER].size), 0))
+    plan = psdr.plan(scene, params, integrator=INTEGRATOR)
+    state = guiding.automatic(scene, motion(scene, [OCCLUDER]), 0, 2)
+    waits = 6 if call else 12
+    for seed in range(waits):
+        automatic.choose(scene, plan, [OCCLUDER], "reverse", 0, SPP, seed, None)
+        automatic.choose(scene, plan, [OCCLUDER], "reverse", 0, SPP, seed, None)  # the same call again tells nothing
+        assert not state.decided
+        percent = f"{100 * seed / waits:.0f}%"
+        said = WAITS.format(f"a pilot's 3 kernels does ({percent} so far)" if seed else "a pilot's kernels does")
+        assert guided(scene, params) == ("none", said)
+    automatic.choose(scene, plan, [OCCLUDER], "reverse", 0, SPP, waits, None)
+    assert state.decided and state.said == "no shadow edge moves"
+
+
 @pytest.mark.slow
-def test_shapes_without_triangles_are_guided_where_that_pays() -> None:
+def test_shapes_without_triangles_are_guided_where_that_pays(monkeypatch: pytest.MonkeyPatch) -> None:
     """A soft shadow seen alone, as above."""
+    monkeypatch.setattr(automatic, "KERNEL_COST", dict.fromkeys(automatic.KERNEL_COST, 0))
     scene = psdr.load_dict({"type": "scene", **crowd(), "sensor": camera((1.2, 0.0, 0.45), (-0.4, 0.2, 0.0), fov=60.0)})
     name = "shape.to_world"
     params = psdr.traverse(scene)

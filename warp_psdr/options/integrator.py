@@ -33,9 +33,9 @@ class PathIntegrator:
             differentiates, what moves vertices with ``boundary=None`` alone. "auto": with ``interior="auto"``, where
             all that such a light sends meets mirrors or glass first. False: that light is left out, as by Mitsuba's
             ``path``.
-        boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided from a repeated
-            gradient of a scene on if a pilot says that it pays; None: left out on purpose (the gradient then misses
-            moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both methods.
+        boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided once gradients of
+            a scene have cost what a pilot's kernels do, if it says that it pays; None: left out on purpose (the
+            gradient then misses moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both.
         shown: set by ``AovIntegrator``.
     """
 

@@ -25,6 +25,8 @@ class Automatic:
     Attributes:
         on: whether its gradients may be guided.
         spent: samples of the gradients so far, about.
+        paid: what they cost, in samples of gradients.
+        kernels: how many a pilot and a structure need besides those of a gradient; -1: not counted yet.
         plain: (seed, checksum of the scene's values) of the calls that were not guided.
         decided: whether there was a pilot.
         method: what guides; None: nothing.
@@ -33,10 +35,12 @@ class Automatic:
 
     on: bool = True
     spent: float = 0.0
+    paid: float = 0.0
+    kernels: int = -1
     plain: set[tuple] = field(default_factory=set)
     decided: bool = False
     method: Method | None = None
-    said: str = "from a repeated gradient on, if a pilot says that it pays"
+    said: str = "once gradients have cost what compiling a pilot's kernels does, if it says that it pays"
 
 
 def automatic(scene: Scene, moves: Motion, sensor: int, max_depth: int) -> Automatic:

@@ -1,11 +1,12 @@
 """Automatic guiding: ``boundary="auto"`` guides repeated gradients if a pilot finds that it pays.
 
-The first gradient of a request is not guided, because its structure would cost more than it saves. Once a pilot and a
-structure cost no more than a few times what was spent on the request, both are made. The pilot draws batches of the
-guided terms (``BoundaryTerm.guided``: shadow edges and other silhouettes) with and without guiding, and of all other
-terms. It compares the variance of the gradient or derivative image times its cost. Costs are counted in samples, never
-timed, so that equal calls in equal order give equal bits. A call that was not guided is not guided when it is repeated
-with the same seed and values.
+The first gradients of a request are not guided, because the structure would cost more than it saves, and the kernels of
+a pilot take as long to compile as many gradients of a small scene. Once the gradients have cost as much as these
+kernels, and a pilot and a structure cost no more than a few times what was spent, both are made. The pilot draws
+batches of the guided terms (``BoundaryTerm.guided``: shadow edges and other silhouettes) with and without guiding, and
+of all other terms. It compares the variance of the gradient or derivative image times its cost. Costs are counted in
+samples, never timed, and kernels count whether or not the cache has them, so that equal calls in equal order give equal
+bits. A call that was not guided is not guided when it is repeated with the same seed and values.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from warp_psdr.estimate.boundary.drivers import launch_backward, launch_forward
 from warp_psdr.estimate.boundary.terms import TERMS, Request, launches
 from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.gradient_sums import GradientSums
+from warp_psdr.estimate.guiding import store
 from warp_psdr.estimate.passes import STREAM_BOUNDARY, interior_backward, interior_forward
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.boundary import PathSpace
@@ -37,6 +39,13 @@ if TYPE_CHECKING:
 BATCHES = 8
 #: What pilot and structure may cost, over what was spent on the request before.
 AFFORDED = 3.0
+#: What it takes to compile a kernel, and a call's part that does not grow with its samples, in samples of a gradient
+#: with all terms. Measured on the CPU: 4 to 5 processor seconds, .01 s and 1.4 to 3.8 microseconds; on CUDA, by recorded
+#: numbers (``docs/data/devices.jsonl``): 7 s, .02 s and .09 microseconds.
+KERNEL_COST = {"cpu": 1 << 21, "cuda": 1 << 26}
+CALL_COST = {"cpu": 1 << 12, "cuda": 1 << 18}
+#: Kernels of a guided term: its integrand, and its guided form; of edges also the one that tells which face the lights.
+KERNELS, KERNELS_OF_EDGES = 2, 3
 #: Evaluations of the integrand that a leaf costs while a structure is built, about.
 LEAF_COST = 24
 #: Leaves: fewer follow no integrand, and more than ``guiding.KdTree`` has pay off rarely.
@@ -85,6 +94,7 @@ def choose(
         found.plain.add(call)
     request = Request(scene, plain, motion(scene, names), role, sensor, spp, seed)
     found.spent += (1.0 + REST_COST) * request.pixels * spp
+    found.paid += request.pixels * spp + CALL_COST[_kind(scene)]
     return plain
 
 
@@ -107,6 +117,8 @@ def _decide(
     given: wp.array,
 ) -> None:
     """Run the pilot, as soon as it is affordable, and keep what it says."""
+    if not _has_paid(found, scene, plan, names, role, sensor, spp, seed):
+        return
     camera = scene.camera(sensor)
     batch = max(spp // BATCHES, 1)
     shadows = BATCHES * batch * camera.crop_width * camera.crop_height
@@ -137,6 +149,25 @@ def _decide(
     found.said = f"pilot: the variance is {less:.3g} times less at {cost:.3g} times the cost"
     if less > PAYS * cost:
         found.method = method
+
+
+def _has_paid(
+    found: Automatic, scene: Scene, plan: Plan, names: list[str], role: str, sensor: int, spp: int, seed: int
+) -> bool:
+    """Return whether gradients have cost as much as the kernels of a pilot, or else say how much of it."""
+    if found.kernels < 0:
+        request = Request(scene, plan, motion(scene, names), role, sensor, spp, seed)
+        guided = [term.name for term in TERMS[PathSpace] if term.guided and launches(term, request)]
+        found.kernels = sum(KERNELS_OF_EDGES if name == store.EDGES else KERNELS for name in guided)
+    share = found.paid / max(found.kernels * KERNEL_COST[_kind(scene)], 1)
+    if share < 1.0:
+        cost = f"what compiling a pilot's {found.kernels} kernels does ({share:.0%} so far)"
+        found.said = f"once gradients have cost {cost}, if it says that it pays"
+    return share >= 1.0
+
+
+def _kind(scene: Scene) -> str:
+    return "cpu" if scene.device.is_cpu else "cuda"
 
 
 def _batch(
