@@ -80,8 +80,9 @@ def test_what_the_table_refuses_is_refused_in_its_words(kind: str, effect: str) 
 def test_the_table_has_what_is_known_to_work_and_not_to() -> None:
     table = {kind: psdr.coverage(kind=kind, request="as glass")[0] for kind in KINDS}
     assert [kind for kind, cell in table.items() if cell.answer == NO] == ["linearcurve", "bsplinecurve"]
-    (refused,) = psdr.coverage(kind="sdfgrid", request="vertex normals")
-    assert "does not know 'shape', a 'sdfgrid'" in refused.short and "face_normals" in refused.short
+    assert {psdr.coverage(kind=kind, request="vertex normals")[0].answer for kind in KINDS} == {YES}
+    (refused,) = psdr.coverage(kind="sdfgrid", request="as plastic")
+    assert "the 'plastic' of 'shape'" in refused.short and "make it rough" in refused.short
     assert refused.short in refused.reason and "boundary=None" not in refused.short
 
 

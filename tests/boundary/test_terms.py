@@ -5,7 +5,6 @@ import re
 from dataclasses import replace
 from importlib import import_module
 
-import numpy as np
 import pytest
 
 import warp_psdr as psdr
@@ -93,19 +92,19 @@ def test_every_word_that_is_declared_is_in_the_list() -> None:
         words("mirors")
 
 
-@pytest.mark.parametrize("name", ["ball.to_world", "body.grid"])
+@pytest.mark.parametrize("name", ["ball.to_world", "lamp.to_world"])
 def test_the_plan_refuses_what_a_term_does_not_know(name: str) -> None:
-    """Vertex normals beside a grid: the curves where they turn away have no term that knows grids."""
-    values = np.linalg.norm(np.stack(np.meshgrid(*[np.linspace(-1, 1, 6)] * 3), axis=-1), axis=-1)[..., None] - 0.5
+    """Vertex normals before a transient film: the curves where they turn away have no term that knows time bins."""
+    film = {"type": "transient_hdr_film", "temporal_bins": 4, "bin_width_opl": 2.0, "pulse_width_opl": 0.5}
+    facing = psdr.Transform.look_at([1, 1, -2], [0, 0, 0], [0, 1, 0])
     described = {
         "type": "scene",
-        "sensor": {"type": "perspective", "to_world": psdr.Transform.translate([0, 0, -4])},
-        "sky": {"type": "constant"},
-        "body": {"type": "sdfgrid", "grid": values.astype(np.float32)},
-        "ball": {"type": "sphere", "center": [2, 0, 0]},
+        "sensor": {"type": "perspective", "to_world": psdr.Transform.translate([0, 0, -4]), "film": film},
+        "lamp": {"type": "rectangle", "to_world": facing, "emitter": {"type": "area", "radiance": 3.0}},
+        "ball": {"type": "sphere"},
     }
     integrator = psdr.PathIntegrator(max_depth=2)
-    with pytest.raises(ValueError, match=r"interpolated normals.*does not know 'body', a 'sdfgrid'.*face_normals"):
+    with pytest.raises(ValueError, match=r"interpolated normals.*does not know the time bins.*face_normals"):
         psdr.plan(psdr.load_dict(described), names=[name], integrator=integrator)
     described["ball"]["face_normals"] = True
     assert psdr.plan(psdr.load_dict(described), names=[name], integrator=integrator).boundary is not None

@@ -22,7 +22,7 @@ from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
+from warp_psdr.kernels.primitive.dispatch import has_slides, make_adjoint_sink, slides_on
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step
@@ -59,6 +59,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
     source = make_indirect(make_horizon_source(config)) if indirect else make_horizon_source(config)
     transport = make_transport(config, role, camera_moves, source)
     both = config.surfaces.two_sided or bool(passing(config.surfaces.bsdfs))
+    has_sliding = has_slides(config.surfaces.primitives)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
     sample_4d = draw.sample_4d
@@ -74,7 +75,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
         own.c = normalize_vjp(tri.normal, twice_area, (w * scene.shapes[tri.shape].orientation) * s.w)
         accumulated = accumulate_vertex(scene, target, s.face1, s.u1, s.v1, own, False, s.x, s.w)
         total = accumulated.dot
-        if s.face2 >= 0:
+        if s.face2 >= 0 and wp.length_sq(s.boundary_normal) > 0.0:
             other = VertexAdjoint()
             other.x = w * s.boundary_normal
             met = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, other, False, s.x, s.w)
@@ -137,6 +138,10 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
             s.u2 = hit.u
             s.v2 = hit.v
             s.boundary_normal = surface.ng / hit.t
+            if wp.static(has_sliding):
+                # What slides along w moves across n_g as x does, which is nothing.
+                if slides_on(scene.triangles[hit.face]):
+                    s.boundary_normal = wp.vec3(0.0, 0.0, 0.0)
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate_geometric_horizon(scene, target, s, 1.0)
