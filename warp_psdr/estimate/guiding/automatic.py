@@ -40,8 +40,8 @@ BATCHES = 8
 #: What pilot and structure may cost, over what was spent on the request before.
 AFFORDED = 3.0
 #: What it takes to compile a kernel, and a call's part that does not grow with its samples, in samples of a gradient
-#: with all terms. Measured on the CPU: 4 to 5 processor seconds, .01 s and 1.4 to 3.8 microseconds; on CUDA, by recorded
-#: numbers (``docs/data/devices.jsonl``): 7 s, .02 s and .09 microseconds.
+#: with all terms. Measured on the CPU: 4 to 5 processor seconds, .01 s and 1.4 to 3.8 microseconds. On CUDA, from
+#: recorded numbers (``docs/data/devices.jsonl``): 7 s, .02 s and .09 microseconds.
 KERNEL_COST = {"cpu": 1 << 21, "cuda": 1 << 26}
 CALL_COST = {"cpu": 1 << 12, "cuda": 1 << 18}
 #: Kernels of a guided term: its integrand, and its guided form; of edges also the one that tells which face the lights.
