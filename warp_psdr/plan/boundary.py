@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.boundary.specular.line_search import MAX_DEPTH
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
@@ -54,7 +53,7 @@ def choose(
         or _metered(scene, config, depth)
         or media.refused(scene, config, names)
         or primitives.refused(scene, config, integrator, names)
-        or _uncovered(scene, config, names, depth, method)
+        or _uncovered(scene, config, names, method)
         or discontinuities.unknown(Asked(scene, config, motion(scene, names), sensor, depth), method, needed)
         or reparametrised.refused(scene, config, integrator, method, names, sensor)
     )
@@ -103,14 +102,12 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
             )
 
 
-def _uncovered(scene: Scene, config: PathConfig, names: list[str], max_depth: int, method: Method) -> str:
+def _uncovered(scene: Scene, config: PathConfig, names: list[str], method: Method) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
     if config.shown:  # of what lights, materials and textures do nothing is seen
         return _in_many_faces(scene, names)
     # Beside media no mirror or glass is, and null lobes turn no ray (``plan/media.py``).
     if has_delta_lobes(config.surfaces.bsdfs) and config.media is None:
-        if not 0 < max_depth <= MAX_DEPTH:
-            return f"discontinuities are searched through mirrors to some depth; set max_depth to {MAX_DEPTH} or less"
         crowded = [
             (shape.path, key_of(bsdf.model, bsdf.variant, bsdf.children))
             for shape in scene.description.shapes

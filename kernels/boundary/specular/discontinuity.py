@@ -26,6 +26,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     MEETS_SMOOTH,
     Block,
     Link,
+    chain_depth,
     goes_on,
     make_intersect_link,
     make_start,
@@ -139,6 +140,7 @@ def make_crossing(config: PathConfig):
         a = first_a
         b = first_b
         i = wp.int32(0)
+        most = chain_depth(block, max_depth)
         begin = wp.int32(-1)
         if block.film == 0:
             begin = visits[count - 1].face
@@ -146,8 +148,8 @@ def make_crossing(config: PathConfig):
         while more:
             depth = block.depth + i
             on = goes_on(block, i)
-            p = intersect_link(scene, o, d, t_max, depth, on, max_depth)
-            q = intersect_link(scene, o_high, d_high, t_max, depth, on, max_depth)
+            p = intersect_link(scene, o, d, t_max, depth, on, most)
+            q = intersect_link(scene, o_high, d_high, t_max, depth, on, most)
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
                 face = begin

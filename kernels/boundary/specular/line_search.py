@@ -12,11 +12,13 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.detector import NEVER
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_line_sink
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     GO_ON,
+    MAX_CHAIN,
     Block,
     film_point,
     make_identity,
@@ -52,14 +54,16 @@ STACK = 40
 #: Share of the lines at a vertex that start in a uniform direction; the others follow the scattering function. Lines
 #: have to start also below the horizon, from where they reach above it.
 UNIFORM_SHARE = 0.25
-#: Sample slots of a search, behind those of a path of any length that is allowed here.
+#: Sample slots of a search, behind those of the path up to where it starts.
 SLOT_SEARCH = 1000
-#: Slots of one search; the last of the first one's is the lens's.
+#: Slots of one search; the last of the first one's are the pattern's upper half and the lens's.
 SLOTS_PER_SEARCH = 64
 SLOT_LENS = SLOT_SEARCH + SLOTS_PER_SEARCH - 1
-#: Most vertices of a path, and of a path with its chain.
-MAX_DEPTH = 16
-MAX_VISITS = 17
+SLOT_PATTERN = SLOT_LENS - 4
+#: Most vertices of a path that are kept: those that a chain is pulled back along. Two vertices in a row from which
+#: smooth lobes were drawn, or found by such, start anew. And of a path with a chain.
+MAX_WINDOW = 32
+MAX_VISITS = MAX_WINDOW + MAX_CHAIN
 
 
 @functools.cache
@@ -236,8 +240,8 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         sample.lens = lens_point(sample_2d(sampler, SLOT_LENS))
         scale = width * height / wp.float32(job.samples)
         pattern = wp.uint32(0)
-        for k in range(4):
-            bits = sample_4d(sampler, SLOT_SEARCH + k)
+        for k in range(8):
+            bits = sample_4d(sampler, wp.where(k < 4, SLOT_SEARCH + k, SLOT_PATTERN - 4 + k))
             for j in range(4):
                 if bits[j] < GO_ON:
                     pattern = pattern | (wp.uint32(1) << wp.uint32(4 * k + j))
@@ -253,7 +257,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         line.camera = sample
         line.q = q
         line.slot = SLOT_SEARCH + 4
-        line.max_depth = job.max_depth
+        line.max_depth = wp.where(job.max_depth < 0, NEVER, job.max_depth)
         line.rr_depth = job.rr_depth
         search(
             scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, job.image_adjoint, target, image_out
@@ -261,11 +265,13 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         if wp.static(has_smooth):
             ray = camera_ray(scene, camera, sample)
             state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
-            count = wp.int32(0)
+            depth = wp.int32(0)
+            count = wp.int32(0)  # of the vertices that are kept
+            lost = wp.int32(0)  # 1: not all of them are
             slot = line.slot
             through = wp.int32(0)  # 1: a mirror or glass came before
             attached = wp.int32(1)
-            while state.alive == 1 and count + 2 <= job.max_depth:
+            while state.alive == 1 and depth + 2 <= line.max_depth:
                 before = state.o
                 vertex, state = path_step(scene, sampler, state, job.max_depth, job.rr_depth)
                 slot += SLOTS_PER_SEARCH
@@ -273,15 +279,26 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                 visit.face = vertex.face
                 visit.u = vertex.u
                 visit.v = vertex.v
-                visit.o = wp.where(count == 0, ray.o, before)
+                visit.o = wp.where(depth == 0, ray.o, before)
                 visit.d = vertex.d
                 visit.lobe = vertex.lobe
                 visit.attached = attached
+                depth += 1
+                if count == MAX_WINDOW:
+                    lost = 1
+                    visits[count - 2] = visits[count - 1]
+                    count -= 1
                 visits[count] = visit
                 count += 1
+                if attached == 0 and vertex.lobe <= LOBE_SMOOTH and count > 2:
+                    # A material point: nothing is pulled back past it, but for what it slides along (form S).
+                    visits[0] = visits[count - 2]
+                    visits[1] = visit
+                    count = 2
+                    lost = 0
                 if vertex.face >= 0:
                     g = interaction.at(scene, vertex.face, vertex.u, vertex.v, vertex.d)
-                    if interaction.bsdf.has_smooth(g.model):
+                    if interaction.bsdf.has_smooth(g.model) and lost == 0:
                         v4 = sample_4d(sampler, slot)
                         w0 = square_to_sphere(wp.vec2(v4[1], v4[2]))
                         found = wp.bool(True)
@@ -302,7 +319,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                             from_y.w0 = w0
                             from_y.w1 = wp.cos(angle) * side + wp.sin(angle) * wp.cross(w0, side)
                             from_y.ell = ARC_LENGTH
-                            from_y.depth = count
+                            from_y.depth = depth
                             from_y.pattern = pattern
                             from_y.first = through
                             line.throughput = (scale / pdf) * vertex.throughput

@@ -35,6 +35,9 @@ from warp_psdr.kernels.visibility import visibility_of
 #: Probability of a pattern's bit: light passes glass instead of being reflected, or a surface that has smooth lobes too
 #: reflects as a mirror, or lets light pass, instead of ending the chain.
 GO_ON = 0.75
+#: Most vertices of a chain. What lies behind more mirrors and glass in a row is left to the path tracer, and has no
+#: boundary term there. The bits of a pattern: one for each vertex but the last.
+MAX_CHAIN = 32
 #: What a ray meets: nothing; a lobe of weight zero; a smooth surface, or the last vertex; a mirror or glass.
 MEETS_NOTHING, MEETS_DEAD, MEETS_SMOOTH, MEETS_DELTA = 0, 1, 2, 3
 #: Multiplier of the identity's hash (2^32 over the golden ratio).
@@ -225,6 +228,12 @@ def make_intersect_link(config: PathConfig):
 
 
 @wp.func
+def chain_depth(block: Block, max_depth: wp.int32) -> wp.int32:
+    """Most vertices of a path whose last ones are a chain of the block."""
+    return wp.min(max_depth, block.depth + MAX_CHAIN)
+
+
+@wp.func
 def goes_on(block: Block, i: wp.int32) -> wp.bool:
     return ((block.pattern >> wp.uint32(i)) & wp.uint32(1)) == wp.uint32(1)
 
@@ -278,11 +287,12 @@ def make_identity(config: PathConfig):
         o = ray.o
         d = ray.d
         t_max = ray.t_max
+        most = chain_depth(block, max_depth)
         h = wp.uint32(1)
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
+            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), most)
             ends = link.kind < MEETS_DELTA
             mine = i > 0 or block.first == 1 or link.kind == MEETS_DELTA or link.kind == MEETS_DEAD
             if mine:
@@ -341,12 +351,13 @@ def make_follow_chain(config: PathConfig):
         o = ray.o
         d = ray.d
         t_max = ray.t_max
+        most = chain_depth(block, max_depth)
         total = wp.vec3(0.0, 0.0, 0.0)
         weight = wp.vec3(1.0, 1.0, 1.0)
         i = wp.int32(0)
         more = wp.bool(True)
         while more:
-            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), max_depth)
+            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), most)
             if link.kind == MEETS_DELTA:
                 total += wp.cw_mul(weight, link.emitted)
                 weight = wp.cw_mul(weight, link.weight)
