@@ -327,6 +327,9 @@ FACTORIES = {
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
         ("reverse, exact shapes", (EXACT, "reverse", True), SLOW),
     ],
+    "boundary.specular.long_chains.make_long_chains_kernel": [
+        ("materials", (MATERIALS,), SLOW),
+    ],
     "boundary.specular.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, moving(MATERIALS), "reverse", False), SLOW),
         ("forward, mirror under lights", (MIRROR_LIGHTS, moving(MIRROR_LIGHTS), "forward", True), SLOW),

@@ -1,12 +1,13 @@
 """Discontinuities seen through chains of smooth mirrors and glass: slopes on finite differences, modes, refusals."""
 
+import numpy as np
 import pytest
 
 import warp_psdr as psdr
 
 from .measure import MODES, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
-from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL
-from .scenes import load
+from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL, lamp
+from .scenes import camera, load, mesh
 from .test_table import moved
 
 
@@ -47,12 +48,55 @@ def test_the_modes_are_transposes_of_each_other(name, names, depth) -> None:
     assert_transposes(scene, params, names, {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": 16, "seed": 3})
 
 
-def test_a_path_without_end_is_refused() -> None:
+def behind_panes(count: int) -> psdr.Scene:
+    """Two lamps behind panes that are not there: all that is seen of them is that they are counted."""
+    y = np.repeat(-2.0 + 0.1 * np.arange(count), 4)
+    x, z = np.tile([-9.0, 9.0, 9.0, -9.0], count), np.tile([-9.0, -9.0, 9.0, 9.0], count)
+    faces = np.concatenate([[[4 * k, 4 * k + 1, 4 * k + 2], [4 * k, 4 * k + 2, 4 * k + 3]] for k in range(count)])
+    objects = {
+        "sensor": camera((0.0, -4.0, 0.4), (0.0, 0.0, 0.0), fov=30.0),
+        "panes": mesh(np.stack([x, y, z], 1), faces, {"type": "null"}),
+        "lamp": lamp((0.2, 2.0, 0.3), 0.5),
+        "other": lamp((-0.8, 2.5, -0.6), 0.7, 0.5),
+    }
+    return psdr.load_dict({"type": "scene", **objects})
+
+
+@pytest.mark.parametrize("depth", [-1, 17, 1000])
+def test_a_path_has_any_length(depth: int) -> None:
     scene, _params = load("slab")
-    for depth in (-1, 17):
-        with pytest.raises(ValueError, match="set max_depth to 16"):
-            psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=depth))
-    assert psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=16)).boundary is not None
+    plan = psdr.plan(scene, names=[LAMP], integrator=psdr.PathIntegrator(max_depth=depth))
+    assert isinstance(plan.boundary, psdr.boundary.PathSpace)
+    assert ("first gradient measures" in str(plan)) == (depth != 17)
+
+
+@pytest.mark.slow
+def test_chains_are_followed_at_any_depth() -> None:
+    """A lamp that moves behind 2 panes at depth 4, and behind 20 and 29 without a limit, looks the same."""
+    images = []
+    for count, depth in ((2, 4), (20, -1), (29, -1)):
+        scene = behind_panes(count)
+        params = psdr.traverse(scene)
+        along = {LAMP: np.zeros_like(params[LAMP].numpy()) + np.float32([1.0, 0.3, 0.4])}
+        options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": 128, "seed": 1}
+        images.append(psdr.render_forward(scene, params, along, **options).numpy())
+        if depth < 0:
+            assert "0.00% of the image" in str(psdr.plan(scene, names=[LAMP], integrator=options["integrator"]))
+    scale = np.abs(images[0]).sum()
+    for image in images[1:]:
+        # A tenth of the derivative's magnitude is its noise at these samples.
+        assert scale > 10.0 and np.abs(image - images[0]).sum() < 0.1 * scale
+
+
+@pytest.mark.slow
+def test_what_lies_behind_longer_chains_is_refused() -> None:
+    scene = behind_panes(40)
+    params = psdr.traverse(scene)
+    for _repeated in range(2):
+        with pytest.raises(ValueError, match=r"100\.0% of the image's light .* set max_depth to 32 or less"):
+            psdr.render_forward(scene, params, {LAMP: 1.0}, integrator=psdr.PathIntegrator(), spp=1)
+    image = psdr.render_forward(scene, params, {LAMP: 1.0}, integrator=psdr.PathIntegrator(max_depth=32), spp=1)
+    assert not image.numpy().any()  # nothing is seen
 
 
 def test_the_plan_names_the_search() -> None:

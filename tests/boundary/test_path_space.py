@@ -136,8 +136,6 @@ def test_the_plan_says_which_method_it_chose() -> None:
 
 FLUSH = ([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], [[0, 1, 2], [0, 3, 1]])
 UNCOVERED = {
-    "mirror": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "conductor"})}, -1, "set max_depth to 16"),
-    "glass": (under(sky()) | {"occluder": ball((0, 0, 1), 0.4, {"type": "dielectric"})}, -1, "set max_depth to 16"),
     "shared edge": (
         under(sky()) | {"occluder": mesh(*FLUSH, diffuse(0.5)), "base": mesh(*FLUSH, diffuse(0.5))},
         2,

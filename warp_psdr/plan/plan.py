@@ -17,7 +17,7 @@ from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, Surface
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, media, needs, primitives, properties, steps, transient
+from warp_psdr.plan import choice, guiding, long_chains, media, needs, primitives, properties, steps, transient
 from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.light import joined, passes
@@ -266,6 +266,7 @@ def _boundary(
     elif has_delta_lobes(config.surfaces.bsdfs):
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
+        lines += long_chains.describe(scene, sensor, integrator.max_depth)
     return term, lines
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from warp_psdr.estimate.boundary import long_chains
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.specular.line_search import make_line_search_kernel
 from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
@@ -22,7 +23,9 @@ def launch(r: Request) -> Term | None:
     assert isinstance(r.method, Connecting)
     samples = r.pixels * (r.method.spp_mirrors or r.spp)
     kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
-    return term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, tables], samples)
+    term = term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, tables], samples)
+    long_chains.check(r)
+    return term
 
 
 TERM = BoundaryTerm(
