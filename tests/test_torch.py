@@ -186,7 +186,7 @@ def test_only_an_image_is_wanted_without_grad(scene) -> None:
             "sky": {"type": "constant"},
         }
     )
-    with pytest.raises(ValueError, match="EdgeSampling.*cannot estimate"):
+    with pytest.raises(ValueError, match=r"EdgeSampling.*cannot estimate"):
         psdr.torch.render(mirror, {POSE: pose}, **options)
     with torch.no_grad():
         assert not psdr.torch.render(mirror, {POSE: pose}, **options).requires_grad

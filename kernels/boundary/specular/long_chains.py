@@ -19,9 +19,10 @@ from warp_psdr.kernels.vertex import PathConfig
 
 @functools.cache
 def make_long_chains_kernel(config: PathConfig):
-    """Return the kernel of the radiance of paths, and of its part behind long chains, sums of channels: one thread a path.
+    """Return the kernel that sums the radiance of each path, and the part of it that lies behind long chains.
 
-    A run of vertices without two in a row that smooth lobes join holds every chain, and what it is pulled back along.
+    One thread a path; sums go over channels, too. A run of vertices without two in a row that smooth lobes join holds
+    every chain, and what it is pulled back along.
     """
     start = make_camera_start(config)
     path_step = make_path_step(config, False)
