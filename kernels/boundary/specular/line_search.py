@@ -19,6 +19,7 @@ from warp_psdr.kernels.boundary.specular.line_crossing import Line, make_line_si
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     GO_ON,
     MAX_CHAIN,
+    MAX_WINDOW,
     Block,
     film_point,
     make_identity,
@@ -56,13 +57,10 @@ STACK = 40
 UNIFORM_SHARE = 0.25
 #: Sample slots of a search, behind those of the path up to where it starts.
 SLOT_SEARCH = 1000
-#: Slots of one search; the last of the first one's are the pattern's upper half and the lens's.
+#: Slots of one search; the last of the first one's is the lens's.
 SLOTS_PER_SEARCH = 64
 SLOT_LENS = SLOT_SEARCH + SLOTS_PER_SEARCH - 1
-SLOT_PATTERN = SLOT_LENS - 4
-#: Most vertices of a path that are kept: those that a chain is pulled back along. Two vertices in a row from which
-#: smooth lobes were drawn, or found by such, start anew. And of a path with a chain.
-MAX_WINDOW = 32
+#: Vertices that are kept of a path with a chain.
 MAX_VISITS = MAX_WINDOW + MAX_CHAIN
 
 
@@ -240,8 +238,8 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         sample.lens = lens_point(sample_2d(sampler, SLOT_LENS))
         scale = width * height / wp.float32(job.samples)
         pattern = wp.uint32(0)
-        for k in range(8):
-            bits = sample_4d(sampler, wp.where(k < 4, SLOT_SEARCH + k, SLOT_PATTERN - 4 + k))
+        for k in range(4):
+            bits = sample_4d(sampler, SLOT_SEARCH + k)
             for j in range(4):
                 if bits[j] < GO_ON:
                     pattern = pattern | (wp.uint32(1) << wp.uint32(4 * k + j))

@@ -7,7 +7,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.specular.specular_chain import MAX_CHAIN
+from warp_psdr.kernels.boundary.specular.specular_chain import MAX_CHAIN, MAX_WINDOW
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.jobs import SampleJob
@@ -21,8 +21,7 @@ from warp_psdr.kernels.vertex import PathConfig
 def make_long_chains_kernel(config: PathConfig):
     """Return the kernel that sums the radiance of each path, and the part of it that lies behind long chains.
 
-    One thread a path; sums go over channels, too. A run of vertices without two in a row that smooth lobes join holds
-    every chain, and what it is pulled back along.
+    One thread a path; sums go over channels, too. A chain, or what it is pulled back along, may be too long.
     """
     start = make_camera_start(config)
     path_step = make_path_step(config, False)
@@ -42,7 +41,8 @@ def make_long_chains_kernel(config: PathConfig):
         pixel = number % (camera.crop_width * camera.crop_height)
         state, _sample = start(scene, camera, pixel % camera.crop_width, pixel // camera.crop_width, sampler)
         found = wp.vec2(0.0, 0.0)
-        run = wp.int32(0)
+        chain = wp.int32(0)
+        window = wp.int32(0)
         attached = wp.int32(1)
         beyond = wp.float32(0.0)
         while state.alive == 1:
@@ -50,11 +50,11 @@ def make_long_chains_kernel(config: PathConfig):
             value = wp.cw_mul(vertex.throughput, vertex.direct)
             if finite(value):
                 found += (value[0] + value[1] + value[2]) * wp.vec2(1.0, beyond)
-            run += 1
-            if attached == 0 and vertex.lobe <= LOBE_SMOOTH:
-                run = wp.int32(1)
-            attached = wp.where(vertex.lobe > LOBE_SMOOTH, 1, 0)
-            if run == MAX_CHAIN:
+            specular = vertex.lobe > LOBE_SMOOTH
+            chain = wp.where(specular, chain + 1, 0)
+            window = wp.where(attached == 0 and not specular, 2, window + 1)
+            attached = wp.where(specular, 1, 0)
+            if chain == MAX_CHAIN or (window > MAX_WINDOW and not specular):
                 beyond = wp.float32(1.0)
         found_out[wp.tid()] = found
 

@@ -36,8 +36,11 @@ from warp_psdr.kernels.visibility import visibility_of
 #: reflects as a mirror, or lets light pass, instead of ending the chain.
 GO_ON = 0.75
 #: Most vertices of a chain. What lies behind more mirrors and glass in a row is left to the path tracer, and has no
-#: boundary term there. The bits of a pattern: one for each vertex but the last.
-MAX_CHAIN = 32
+#: boundary term there. A pattern has a bit for each vertex but the last.
+MAX_CHAIN = 16
+#: Most vertices of a path that are kept in front of it: those that it is pulled back along. A vertex that a smooth lobe
+#: has found and that a smooth lobe leaves starts anew.
+MAX_WINDOW = 16
 #: What a ray meets: nothing; a lobe of weight zero; a smooth surface, or the last vertex; a mirror or glass.
 MEETS_NOTHING, MEETS_DEAD, MEETS_SMOOTH, MEETS_DELTA = 0, 1, 2, 3
 #: Multiplier of the identity's hash (2^32 over the golden ratio).
