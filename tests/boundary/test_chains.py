@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
+from warp_psdr.topology.faces import MOST_BOXES, mirror_boxes
 
 from .measure import BATCHES, MODES, SEED, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
-from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL, lamp
-from .scenes import SIZE, camera, floor, load, mesh
+from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL, lamp, wall
+from .scenes import SIZE, camera, floor, load, mesh, sky
 from .test_table import moved
 
 
@@ -94,9 +95,9 @@ def test_a_path_has_any_length(depth: int) -> None:
 
 
 @pytest.mark.slow
-def test_paths_of_thirty_vertices_are_followed() -> None:
-    """Down and up through 14 panes, a floor looks as it does without, where other terms find the lamp's edge."""
-    without, through = sums_under_panes(0, 64), sums_under_panes(14, 48)
+def test_paths_of_eighteen_vertices_are_followed() -> None:
+    """Down and up through 8 panes, a floor looks as it does without, where other terms find the lamp's edge."""
+    without, through = sums_under_panes(0, 64), sums_under_panes(8, 256)
     value, error = slope(through, without)
     assert error < 0.05, f"too noisy to tell: slope {value:.3f} +- {error:.3f}"
     assert abs(value - 1.0) < 3.0 * error, f"slope {value:.3f} +- {error:.3f}"
@@ -122,3 +123,19 @@ def test_the_plan_names_the_search() -> None:
     assert "line search" not in str(
         psdr.plan(plain, names=["occluder.vertex_positions"], integrator=psdr.PathIntegrator(max_depth=2))
     )
+
+
+def test_boxes_hold_all_mirrors_and_glass() -> None:
+    """Lines are not traced where no ray meets one."""
+    scene, _params = load("slab")
+    low, high = mirror_boxes(scene)
+    held = ((scene.points > low) & (scene.points < high)).all(axis=1)
+    glass = next(i for i, shape in enumerate(scene.description.shapes) if shape.path == "glass")
+    record = scene.builder.shapes[glass]
+    expected = np.zeros(len(held), bool)
+    expected[record.first_vertex : record.first_vertex + record.vertex_count] = True
+    assert (held == expected).all()
+    many = {f"mirror{i}": wall(float(i)) for i in range(MOST_BOXES + 1)}
+    joined = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), **many})
+    low, high = mirror_boxes(joined)
+    assert ((joined.points > low) & (joined.points < high)).all()

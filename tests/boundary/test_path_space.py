@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import assert_transposes
-from .scenes import T, ball, camera, diffuse, floor, load, mesh, occluder, panel, sky, under
+from .scenes import T, camera, diffuse, floor, load, mesh, occluder, panel, sky, under
 
 OCCLUDER = "occluder.vertex_positions"
 

@@ -10,6 +10,7 @@ import warp as wp
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.texture.steps import StepTextures
+from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
 from warp_psdr.topology.film_edges import smooth_edges
 from warp_psdr.topology.interpolated_normals import interpolated_faces
@@ -17,6 +18,11 @@ from warp_psdr.topology.interpolated_normals import interpolated_faces
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
     from warp_psdr.topology.edges import Adjacency
+
+#: Boxes around mirrors that rays are tested against one by one; more are joined.
+MOST_BOXES = 16
+#: By how many ray epsilons they are larger than what they hold: rays start off the surface, and are rounded.
+PAD = 4.0
 
 
 def face_tables(scene: Scene) -> tuple[Edges, Tables]:
@@ -39,6 +45,7 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     ):
         setattr(tables, name, wp.array(values.astype(np.int32), dtype=wp.int32, device=scene.device))
     tables.steps = _step_textures(scene)
+    tables.mirrors = wp.array(mirror_boxes(scene), dtype=wp.vec3, device=scene.device)
     return edges, tables
 
 
@@ -52,6 +59,19 @@ def _step_textures(scene: Scene) -> StepTextures:
     flat = [number for numbers in lists for number in numbers] or [-1]
     tables.textures = wp.array(np.array(flat, np.int32), dtype=wp.int32, device=scene.device)
     return tables
+
+
+def mirror_boxes(scene: Scene) -> np.ndarray:
+    """Return (2 N, 3) float32: lower and upper corners of boxes around the shapes that are mirrors, glass or masks."""
+    points, boxes = scene.points, []
+    for shape, record in zip(scene.description.shapes, scene.builder.shapes, strict=True):
+        if any(model_of(side).has_delta for side in shape.bsdf.sides):
+            own = points[record.first_vertex : record.first_vertex + record.vertex_count]
+            boxes.append([own.min(axis=0) - PAD * scene.ray_epsilon, own.max(axis=0) + PAD * scene.ray_epsilon])
+    found = np.array(boxes, np.float32).reshape(-1, 2, 3)
+    if len(found) > MOST_BOXES:
+        found = np.stack([found[:, 0].min(axis=0), found[:, 1].max(axis=0)])[None]
+    return found.reshape(-1, 3)
 
 
 def face_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

@@ -23,9 +23,10 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     Block,
     film_point,
     make_identity,
+    make_start,
     step_from,
 )
-from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
+from warp_psdr.kernels.boundary.specular.triangle_borders import Tables, may_meet_mirrors
 from warp_psdr.kernels.constants import INV_FOUR_PI, LOBE_SMOOTH, TWO_PI
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
@@ -72,6 +73,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
     """
     camera_ray, _camera_origin = make_camera_ray(config.camera)
     lens_point = make_lens(config.camera)
+    start_at = make_start(config.camera)
     identity = make_identity(config)
     accumulate_crossings = make_line_sink(config, wanted, role, light_pose)
     path_step = make_path_step(config, False)
@@ -81,6 +83,17 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
     sample_1d = draw.sample_1d
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
+
+    @wp.func
+    def name_at(
+        scene: Scene, camera: Camera, tables: Tables, block: Block, s: wp.float32, max_depth: wp.int32
+    ) -> wp.uint32:
+        """The identity; 1 without tracing a ray that meets no mirror, where the first segment is others'."""
+        if block.first == 0:
+            ray = start_at(scene, camera, block, s)
+            if not may_meet_mirrors(tables, ray.o, ray.d):
+                return wp.uint32(1)
+        return identity(scene, camera, tables.group, tables.interpolated, tables.steps, block, s, max_depth, 0)
 
     @wp.func
     def search(
@@ -106,20 +119,10 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         unit = 1.0 / wp.float32(RESOLUTION)
         for k in range(cells):
             ends[top] = (RESOLUTION // cells) * (cells - k)
-            names[top] = identity(
-                scene,
-                camera,
-                tables.group,
-                tables.interpolated,
-                tables.steps,
-                block,
-                unit * wp.float32(ends[top]),
-                max_depth,
-                0,
-            )
+            names[top] = name_at(scene, camera, tables, block, unit * wp.float32(ends[top]), max_depth)
             top += 1
         left = wp.int32(0)
-        left_name = identity(scene, camera, tables.group, tables.interpolated, tables.steps, block, 0.0, max_depth, 0)
+        left_name = name_at(scene, camera, tables, block, 0.0, max_depth)
         # The path down the tree: its cell starts as a random root.
         cell = wp.int32(sample_1d(sampler, line.slot) * wp.float32(cells))
         lower = cell * (RESOLUTION // cells)
@@ -143,17 +146,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                 elif end - left > 1:
                     middle = (left + end) // 2
                     ends[top] = middle
-                    names[top] = identity(
-                        scene,
-                        camera,
-                        tables.group,
-                        tables.interpolated,
-                        tables.steps,
-                        block,
-                        unit * wp.float32(middle),
-                        max_depth,
-                        0,
-                    )
+                    names[top] = name_at(scene, camera, tables, block, unit * wp.float32(middle), max_depth)
                     top += 1
                 else:
                     low = unit * wp.float32(left)
@@ -170,17 +163,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
             if active:
                 u = sample_1d(sampler, line.slot + 1 + level)
                 half = size // 2
-                name = identity(
-                    scene,
-                    camera,
-                    tables.group,
-                    tables.interpolated,
-                    tables.steps,
-                    block,
-                    unit * wp.float32(lower + half),
-                    max_depth,
-                    0,
-                )
+                name = name_at(scene, camera, tables, block, unit * wp.float32(lower + half), max_depth)
                 if lower_name == upper_name and name != lower_name:
                     left = lower
                     left_name = lower_name

@@ -15,6 +15,8 @@ from warp_psdr.kernels.texture.steps import StepTextures
 #: lamp seen in the limb of a glass ball a fraction of 0.002 lost 0.1 % of the crossings, which made a bias as large.
 RIM_FRACTION = 0.1
 RIM_EPSILONS = 50.0
+#: Components of a direction below it count as zero.
+AXIAL = 1.0e-20
 
 
 @wp.struct
@@ -26,6 +28,24 @@ class Tables:
     face_edges: wp.array(dtype=wp.int32)  # (3 n) edge opposite of each corner; -1: none
     smooth_edge: wp.array(dtype=wp.int32)
     steps: StepTextures
+    mirrors: wp.array(dtype=wp.vec3)  # (2 n) lower and upper corners of boxes that hold all mirrors and glass
+
+
+@wp.func
+def may_meet_mirrors(tables: Tables, o: wp.vec3, d: wp.vec3) -> wp.bool:
+    """Whether a ray meets one of the boxes that hold all mirrors and glass."""
+    # Of a direction along an axis, the planes across the others are as far as float32 reaches, not at NaN.
+    inverse = wp.vec3(0.0, 0.0, 0.0)
+    for k in range(3):
+        inverse[k] = wp.where(d[k] < 0.0, -1.0, 1.0) / wp.max(wp.abs(d[k]), AXIAL)
+    for i in range(tables.mirrors.shape[0] // 2):
+        a = wp.cw_mul(tables.mirrors[2 * i] - o, inverse)
+        b = wp.cw_mul(tables.mirrors[2 * i + 1] - o, inverse)
+        begin = wp.max(wp.min(a, b))
+        end = wp.min(wp.max(a, b))
+        if end >= wp.max(begin, 0.0):
+            return True
+    return False
 
 
 @wp.struct
