@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.topology.faces import MOST_BOXES, mirror_boxes
+from warp_psdr.topology.faces import MOST_BOXES, face_tables, mirror_boxes
 
 from .measure import BATCHES, MODES, SEED, Case, assert_agrees, assert_transposes, derivatives, differences, rows, slope
 from .mirrors import CASES, ETA, GLASSES, LAMP, NEAR, OCCLUDER, WALL, lamp, wall
@@ -139,3 +139,14 @@ def test_boxes_hold_all_mirrors_and_glass() -> None:
     joined = psdr.load_dict({"type": "scene", "sensor": camera(), "sky": sky(), **many})
     low, high = mirror_boxes(joined)
     assert ((joined.points > low) & (joined.points < high)).all()
+
+
+@pytest.mark.parametrize(("name", "one"), [("glass ball", True), ("mirror ball", True), ("faceted glass", False)])
+def test_a_smooth_convex_lens_is_one_surface(name: str, one: bool) -> None:
+    """No line is halved at the edges of its triangles, behind which it shows the same."""
+    scene, _params = load(name)
+    _edges, tables = face_tables(scene)
+    shape = next(i for i, s in enumerate(scene.description.shapes) if s.path in ("glass", "mirror"))
+    group = tables.group.numpy()[: scene.face_count][scene.builder.face_shape == shape]
+    assert (len(set(group)) == 1) == one
+    assert len(set(tables.group.numpy())) > len(set(group))

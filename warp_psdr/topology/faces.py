@@ -14,11 +14,14 @@ from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
 from warp_psdr.topology.film_edges import smooth_edges
 from warp_psdr.topology.interpolated_normals import interpolated_faces
+from warp_psdr.topology.outlook import has_in_front
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
     from warp_psdr.topology.edges import Adjacency
 
+#: Most triangles of a lens, whose vertices are all compared with all of its triangles at every gradient.
+MOST_LENS = 4096
 #: Boxes around mirrors that rays are tested against one by one; more are joined.
 MOST_BOXES = 16
 #: By how many ray epsilons they are larger than what they hold: rays start off the surface, and are rounded.
@@ -36,6 +39,8 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     tables = Tables()
     records = len(scene.builder.primitives)
     group = joined_faces(scene.face_count, found, smooth & (found.wedge == 0.0))
+    for faces in lenses(scene, found, smooth):
+        group[faces] = group[faces[0]]
     own = scene.face_count + np.arange(records)  # no group of triangles has such a number
     for name, values in (
         ("group", np.concatenate([group, own])),
@@ -59,6 +64,30 @@ def _step_textures(scene: Scene) -> StepTextures:
     flat = [number for numbers in lists for number in numbers] or [-1]
     tables.textures = wp.array(np.array(flat, np.int32), dtype=wp.int32, device=scene.device)
     return tables
+
+
+def lenses(scene: Scene, edges: Adjacency, smooth: np.ndarray) -> list[np.ndarray]:
+    """Return the triangles of each shape that is one surface to the rays that meet it, however many triangles it has.
+
+    Smooth, closed, convex, and a mirror or glass alone: a ray meets it once from without and once from within, and what
+    it sends is continuous across its edges.
+    """
+    b, found = scene.builder, []
+    beside = b.face_shape[edges.faces[~np.repeat(smooth, edges.count)]]
+    rough = np.bincount(beside, minlength=len(b.shapes))
+    for i, (shape, record) in enumerate(zip(scene.description.shapes, b.shapes, strict=True)):
+        models = [model_of(side) for side in shape.bsdf.sides]
+        faces = np.flatnonzero(b.face_shape == i)
+        alone = all(m.has_delta and not m.has_smooth for m in models)
+        if not (alone and record.smooth and 0 < len(faces) <= MOST_LENS) or rough[i]:
+            continue
+        triangles = b.indices[faces]
+        own = triangles.min(), triangles.max() + 1
+        points = scene.points[slice(*own)].astype(np.float64)
+        # Convex, whichever way its triangles are turned.
+        if not all(has_in_front(points, triangles - own[0], turned, False) for turned in (1.0, -1.0)):
+            found.append(faces)
+    return found
 
 
 def mirror_boxes(scene: Scene) -> np.ndarray:
