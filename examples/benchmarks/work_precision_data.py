@@ -36,10 +36,15 @@ KEY = ("kind", "case", "method", "spp", "repeat", "pixels")
 
 
 class Records:
-    """JSON lines of finished measurements; what is there is not measured again."""
+    """JSON lines of finished measurements; what is there is not measured again.
 
-    def __init__(self, file: Path):
-        self.file = file
+    Args:
+        file: of the lines.
+        key: names that tell one measurement from another.
+    """
+
+    def __init__(self, file: Path, key: tuple[str, ...] = KEY):
+        self.file, self._key = file, key
         self.rows: list[dict] = []
         if file.is_file():
             text = file.read_bytes()
@@ -48,11 +53,11 @@ class Records:
                 with open(file, "r+b") as stream:
                     stream.truncate(len(whole))
             self.rows = [json.loads(line) for line in whole.splitlines() if line.strip()]
-        self._keys = {_key(row) for row in self.rows}
+        self._keys = {self._of(row) for row in self.rows}
 
     def __contains__(self, row: dict) -> bool:
         """Whether a measurement of this key is finished."""
-        return _key(row) in self._keys
+        return self._of(row) in self._keys
 
     def append(self, row: dict) -> None:
         """Add a measurement: one write of one line, so that readers and an interruption see all of it or nothing."""
@@ -65,11 +70,10 @@ class Records:
         finally:
             os.close(handle)
         self.rows.append(row)
-        self._keys.add(_key(row))
+        self._keys.add(self._of(row))
 
-
-def _key(row: dict) -> tuple:
-    return tuple(row.get(name) for name in KEY)
+    def _of(self, row: dict) -> tuple:
+        return tuple(row.get(name) for name in self._key)
 
 
 @dataclass(frozen=True)

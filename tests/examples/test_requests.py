@@ -1,0 +1,153 @@
+"""The benchmark of requests: what it draws from a scene, slopes, how it groups refusals, and its processes."""
+
+import importlib
+import json
+import os
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import warp_psdr as psdr
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "examples" / "benchmarks"
+#: A refusal as the plan says it, of two parameters.
+FRAME = "the requested gradient has a boundary term ({} moves silhouettes), which boundary.PathSpace() cannot estimate "
+REFUSAL = FRAME + "here: {!r} carries a texture; use a bitmap; or say PathIntegrator(boundary=None) to get the rest"
+DONE = {"kind": "scene", "result": "done", "why": ""}
+#: The worst of 200 slopes lies within so many standard errors of eight batches.
+SIGMAS = 8.0
+
+
+@pytest.fixture
+def modules(monkeypatch: pytest.MonkeyPatch):
+    """Import files of the benchmarks by their names, which packages and folders of tests may have, too."""
+    for file in BENCHMARKS.glob("*.py"):
+        monkeypatch.delitem(sys.modules, file.stem, raising=False)
+    before = set(sys.modules)
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    yield importlib.import_module
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(BENCHMARKS)):
+            del sys.modules[name]
+
+
+def options(modules, **more):
+    file = psdr.scenes.cornell_box
+    given = {"file": str(file), "folder": str(Path(file).parent), "label": "own/cornell_box.xml", "size": 8, "each": 2}
+    return modules("request_cases").Options(values={"unknown": "1"}, **given | more)
+
+
+def test_every_request_of_a_scene_is_asked_once(modules) -> None:
+    cases = modules("request_cases")
+    lines = [line for line in cases.records(options(modules)) if line["kind"] == "request"]
+    kinds = [line["what"] for line in lines]
+    assert {kind: kinds.count(kind) for kind in kinds} == {
+        "number": 2, "light": 1, "vertices": 2, "pose": 2, "camera pose": 1, "lens": 2,
+    }  # fmt: skip
+    assert {line["result"] for line in lines} == {"taken"}
+    names = [line["name"] for line in lines]
+    assert len(set(names)) == len(names)
+    *rest, end = cases.records(options(modules, done=tuple(names[1:])))
+    assert [line["name"] for line in rest] == [names[0]] * 2  # begun, and answered
+    assert end == {"kind": "scene", "file": "own/cornell_box.xml", "result": "done", "requests": len(names)}
+    (line,) = cases.records(options(modules, file="nowhere.xml"))
+    assert (line["kind"], line["result"]) == ("scene", "not loaded")
+
+
+def test_directions_keep_to_the_ranges_of_values(modules) -> None:
+    cases, draw = modules("request_cases"), modules("request_draw")
+    scene = cases.load(options(modules))
+    assert [(s.film.width, s.film.height) for s in scene.description.sensors] == [(8, 8)]
+    params = psdr.traverse(scene)
+    params["red.reflectance.value"] = [0.0, 0.5, 1.0]
+    directions = draw.Directions(scene, params, 0, np.random.default_rng(2))
+    for kind, name in draw.draw(scene, "any", seed=3, each=20):
+        tangent = directions.of(kind, name)
+        assert tangent.shape == params[name].numpy().shape and np.isfinite(tangent).all()
+        assert (tangent != 0.0).any()
+    assert list(directions.of("number", "red.reflectance.value") != 0.0) == [False, True, False]
+    # A pose stays one of a rigid body: its rate times its inverse is skew.
+    pose = params["sensor.to_world"].numpy().astype(np.float64)
+    rate = (directions.of("camera pose", "sensor.to_world") @ np.linalg.inv(pose))[:3, :3]
+    np.testing.assert_allclose(rate, -rate.T, atol=1e-6 * np.abs(rate).max())
+
+
+def test_slopes_are_unbiased_and_a_zero_derivative_is_wrong(modules) -> None:
+    cases, rng = modules("request_cases"), np.random.default_rng(1)
+    truth = rng.normal(size=50)
+    found = []
+    for _ in range(200):
+        noise = rng.normal(size=(2, 8, 50))
+        found.append(cases.slope(truth + noise[0], truth + noise[1]))
+    values, errors = np.array(found).T
+    assert abs(values.mean() - 1.0) < SIGMAS * values.std(ddof=1) / 200**0.5
+    assert np.abs((values - 1.0) / errors).max() < SIGMAS
+    assert cases.verdict(*cases.slope(0.0 * noise[0], truth + noise[1])) == "wrong"
+    assert cases.verdict(1.015, 0.001) == "right" and cases.verdict(1.03, 0.001) == "wrong"
+    assert cases.verdict(1.0, 0.2) == "noisy"
+
+
+def test_refusals_are_grouped_without_their_names(modules) -> None:
+    cause = modules("request_tables").cause
+    assert {cause(REFUSAL.format(f"{name}.to_world", name)) for name in ("floor", "shape_1")} == {"… carries a texture"}
+    assert cause("derivatives by a.b.to_world: 'a' and 'b' touch; give them room") == "… touch"
+    assert cause("shape_0.to_world moves the bump map of 'shape_0': hold it still") == "… moves the bump map of …"
+    assert cause("a projector's frame") == "a projector's frame"
+
+
+def test_tables_count_the_last_answer(modules) -> None:
+    about = {"kind": "request", "file": "a/x.xml", "what": "pose"}
+    compared = {"result": "right", "slope": 1.0, "error": 0.01, "wide": 1.0, "batches": 6}
+    compared |= {"cold": 5.0, "second": 2.0, "warm": 0.1, "image": 0.05}
+    rows = [
+        about | {"name": "p.to_world", "result": "taken"},
+        about | {"name": "p.to_world"} | compared,
+        about | {"name": "q.to_world", "result": "refused", "why": REFUSAL.format("q.to_world", "q")},
+        about
+        | {"file": "b/y.xml", "name": "r.to_world", "result": "refused", "why": REFUSAL.format("r.to_world", "r")},
+        about | {"file": "b/y.xml", "what": "light", "name": "l.radiance.value", "result": "crashed", "why": "hangs"},
+        DONE | {"file": "a/x.xml"},
+        DONE | {"file": "b/y.xml"},
+        DONE | {"file": "b/z.xml", "result": "not loaded"},
+    ]
+    module = modules("request_tables")
+    found = module.tables(rows)
+    light, pose, both = found[module.BY_KIND]
+    assert (pose["by"], pose["scenes"], pose["scenes without any"]) == ("pose", 2, 1)
+    assert (pose["requests"], pose["taken"], pose["refused"], pose["taken, %"]) == (3, 1, 2, 33.3)
+    assert (light["crashed"], both["requests"], both["taken, %"]) == (1, 4, 25.0)
+    (cause,) = found[module.BY_CAUSE]
+    assert cause == {
+        "cause": "… carries a texture", "requests": 2, "scenes": 2, "by": "pose 2", "as in": "a/x.xml"
+    }  # fmt: skip
+    assert [(r["files"], r["loaded"], r["taken, %"]) for r in found[module.BY_REPOSITORY]] == [(1, 1, 50), (2, 1, 0)]
+    assert [r["slope"] for r in found[module.SLOPES]] == [1.0]
+    assert found[module.SLOPES_BY_KIND][0]["right"] == 1
+    assert [r["parameter"] for r in found[module.CRASHES]] == ["l.radiance.value"]
+
+
+def test_a_program_that_hangs_or_crashes_is_told(modules) -> None:
+    lines_of = modules("requests").lines_of
+    say = 'import os, time; os.write(1, b\'{"kind": "start"}\\n\'); '
+
+    def run(code: str, patience: float = 600.0) -> list[dict]:
+        return list(lines_of([sys.executable, "-c", say + code], patience, dict(os.environ)))
+
+    start = {"kind": "start"}
+    assert run("") == [start, {"kind": "end", "how": ""}]
+    assert run("os.abort()") == [start, {"kind": "end", "how": "exit status -6"}]
+    assert run("time.sleep(600)", patience=2.0)[-1] == {"kind": "end", "how": "hangs"}
+
+
+def test_scenes_are_found_and_tables_written(modules, tmp_path: Path) -> None:
+    requests = modules("requests")
+    (tmp_path / "more").mkdir()
+    (tmp_path / "more" / "a.xml").write_text("<?xml version='1.0'?><scene version='3.0.0'/>")
+    (tmp_path / "b.xml").write_text("<others/>")
+    (found,) = requests.scene_files([tmp_path])
+    assert found == (f"{tmp_path.name}/more/a.xml", tmp_path / "more" / "a.xml", tmp_path)
+    requests.write(tmp_path / "out.jsonl", {"a table": [{"x": 1}]}, {"cpu": "some"})
+    (line,) = (tmp_path / "out.jsonl").read_text().splitlines()
+    assert json.loads(line) == {"benchmark": "requests.py", "table": "a table", "x": 1, "machine": {"cpu": "some"}}
