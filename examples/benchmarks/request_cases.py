@@ -1,7 +1,7 @@
 """Requests for derivatives in one scene file: drawn at random, asked of the plan, and compared with differences.
 
-A program that ``requests.py`` starts, one process a scene: it takes the options as JSON and prints JSON lines, "start"
-before each request, so that a crash is told from what was asked.
+A program that ``requests.py`` starts: it reads the options of some scenes as JSON, and prints JSON lines, one of kind
+"start" before each scene and each request, so that a crash is told from what was asked.
 """
 
 import json
@@ -10,7 +10,7 @@ import sys
 import time
 import warnings
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from pathlib import Path
@@ -64,7 +64,7 @@ class Options:
     budget: float = 10.0
     until: float = float("inf")
     values: dict[str, str]
-    done: tuple[str, ...] = ()
+    done: Collection[str] = ()
     most: int | None = None
 
 
@@ -193,6 +193,7 @@ def _timed(call: Callable[[], object]) -> float:
 def records(options: Options) -> Iterator[dict]:
     """Yield lines on a scene and its requests, one of each request when it begins and one when it is answered."""
     about = {"file": options.label}
+    yield {"kind": "start", **about}
     try:
         scene = load(options)
         params = psdr.traverse(scene)
@@ -252,11 +253,11 @@ def _sentence(error: BaseException) -> str:
 
 
 def main() -> None:
-    """Answer what the options on the command line ask."""
+    """Answer what is asked: a list of options."""
     warnings.simplefilter("ignore")  # notes on a scene
-    given = json.loads(sys.argv[1])
-    for line in records(Options(**given | {"done": tuple(given.get("done", ()))})):
-        print(json.dumps(line), flush=True)
+    for given in json.load(sys.stdin):
+        for line in records(Options(**given)):
+            print(json.dumps(line), flush=True)
 
 
 if __name__ == "__main__":

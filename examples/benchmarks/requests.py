@@ -7,8 +7,8 @@
 Of each scene up to ``--each`` parameters of every kind are drawn, and the plan is asked for the derivative by each,
 with the integrator of the file: it is taken, or refused with a sentence. With ``--slopes`` a derivative along a random
 direction is compared with central differences with equal random numbers, and its first calls are timed, with an empty
-kernel cache for each scene. A process a scene: what crashes or hangs is recorded. What is in ``--records`` is not asked
-again; all that it holds of the scenes is in the tables. FOLDER: a clone of a repository that holds scenes.
+kernel cache for each scene. What crashes or hangs is recorded, and goes on with the next. What is in ``--records`` is
+not asked again; all that it holds of the scenes is in the tables. FOLDER: a clone of a repository that holds scenes.
 """
 
 import argparse
@@ -25,18 +25,22 @@ from pathlib import Path
 from threading import Lock
 
 from common import machine, markdown
-from request_tables import tables
+from request_tables import SLOPES, tables
 from work_precision_data import Records
 
 WORKER = Path(__file__).with_name("request_cases.py")
 #: What tells one line of the records from another.
 KEY = ("kind", "file", "name", "compared", "seed", "each", "size")
+#: Scenes that one process asks when nothing is timed.
+TOGETHER = 16
 #: Letters of a file in which its ``<scene`` is looked for.
 HEAD = 4096
+#: Label, file, and the folder that holds all that it names.
+Scene = tuple[str, Path, Path]
 
 
-def scene_files(given: list[Path]) -> Iterator[tuple[str, Path, Path]]:
-    """Yield (label, file, folder that holds all that it names) of scene files, and of those in folders."""
+def scene_files(given: list[Path]) -> Iterator[Scene]:
+    """Yield scene files, and those in folders."""
     for path in (p.resolve() for p in given):
         if path.is_file():
             yield f"{path.parent.name}/{path.name}", path, path.parent
@@ -49,9 +53,13 @@ def scene_files(given: list[Path]) -> Iterator[tuple[str, Path, Path]]:
                     yield f"{path.name}/{file.relative_to(path).as_posix()}", file, path
 
 
-def lines_of(command: list[str], patience: float, environment: dict) -> Iterator[dict]:
-    """Yield the JSON lines of a program; one of kind "end" says how it ended: "", "hangs", or its exit status."""
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment) as process:
+def lines_of(command: list[str], given: object, patience: float, environment: dict) -> Iterator[dict]:
+    """Yield the JSON lines of a program that reads ``given``; the last, "end", says how: "", "hangs", or its status."""
+    with tempfile.TemporaryFile() as source:
+        source.write(json.dumps(given).encode())
+        source.seek(0)
+        process = subprocess.Popen(command, stdin=source, stdout=subprocess.PIPE, env=environment)
+    with process:
         assert process.stdout is not None
         rest, how = b"", ""
         while True:
@@ -81,36 +89,46 @@ class Study:
         with self._lock:
             self._records.append(line | self._about)
 
-    def _command(self, label: str, file: Path, folder: Path) -> list[str]:
+    def _given(self, label: str, file: Path, folder: Path) -> dict:
+        """Return the options of ``request_cases.py`` for a scene."""
         o = self._options
         done = [r["name"] for r in self._records.rows if r["kind"] == "request" and r["file"] == label
                 and all(r[k] == v for k, v in self._about.items())]  # fmt: skip
-        given = {"file": str(file), "folder": str(folder), "label": label, "seed": o.seed, "each": o.each,
-                 "size": o.size, "slopes": o.slopes, "budget": o.budget, "until": self._until, "done": done,
-                 "most": o.most, "values": dict(o.define)}  # fmt: skip
-        return [sys.executable, str(WORKER), json.dumps(given)]
+        return {"file": str(file), "folder": str(folder), "label": label, "seed": o.seed, "each": o.each,
+                "size": o.size, "slopes": o.slopes, "budget": o.budget, "until": self._until, "done": done,
+                "most": o.most, "values": dict(o.define)}  # fmt: skip
 
-    def ask(self, label: str, file: Path, folder: Path) -> None:
-        """Ask a scene all that has no answer yet; what crashes or hangs is recorded, and the next request asked."""
-        while time.time() < self._until and {"kind": "scene", "file": label, **self._about} not in self._records:
+    def ask(self, scenes: list[Scene]) -> None:
+        """Ask scenes all that has no answer yet; what crashes or hangs is recorded, and the next request asked.
+
+        Raises:
+            RuntimeError: the program that asks does not begin.
+        """
+        while time.time() < self._until:
+            left = [s for s in scenes if {"kind": "scene", "file": s[0], **self._about} not in self._records]
+            if not left:
+                return
             with tempfile.TemporaryDirectory() as cache:
                 environment = dict(os.environ) | ({"WARP_CACHE_PATH": cache} if self._options.slopes else {})
-                begun = {"file": label, "kind": "scene"}
-                for line in lines_of(self._command(label, file, folder), self._options.patience, environment):
+                given, begun = [self._given(*scene) for scene in left], None
+                for line in lines_of([sys.executable, str(WORKER)], given, self._options.patience, environment):
                     if line["kind"] == "start":
-                        begun = line | {"kind": "request"}
+                        begun = {key: value for key, value in line.items() if key != "kind"}
                     elif line["kind"] != "end":
                         self._keep(line)
+                    elif line["how"] and begun is None:
+                        raise RuntimeError(f"{WORKER.name} ends before it asks anything: {line['how']}")
                     elif line["how"]:
-                        self._keep(begun | {"result": "crashed", "why": line["how"]})
-                    elif time.time() < self._until:
-                        return
+                        kind = "request" if "name" in begun else "scene"
+                        self._keep(begun | {"kind": kind, "result": "crashed", "why": line["how"]})
 
-    def run(self, scenes: list[tuple[str, Path, Path]]) -> list[dict]:
-        """Ask all scenes; returns the records."""
+    def run(self, scenes: list[Scene]) -> list[dict]:
+        """Ask all scenes, each compared one in a process of its own; returns the records."""
+        several = 1 if self._options.slopes else TOGETHER
+        parts = [scenes[i : i + several] for i in range(0, len(scenes), several)]
         with ThreadPoolExecutor(self._options.jobs) as pool:
-            for n, _ in enumerate(pool.map(lambda scene: self.ask(*scene), scenes), 1):
-                print(f"\r{n} of {len(scenes)} scenes", end="", file=sys.stderr, flush=True)
+            for n, _ in enumerate(pool.map(self.ask, parts), 1):
+                print(f"\r{min(n * several, len(scenes))} of {len(scenes)} scenes", end="", file=sys.stderr, flush=True)
         print(file=sys.stderr)
         labels = {label for label, _, _ in scenes}
         return [row for row in self._records.rows if row["file"] in labels]
@@ -137,7 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenes", nargs="+", type=Path, help="scene files, and folders in which they are looked for")
     parser.add_argument("--records", type=Path, required=True, help="file of answers, which a later run continues")
-    parser.add_argument("--out", type=Path, help="file of the tables, one JSON object a line")
+    parser.add_argument("--out", type=Path, help="file of the tables, as JSON lines; every slope: in OUT_slopes.jsonl")
     parser.add_argument("--seed", type=int, default=0, help="of the drawing")
     parser.add_argument("--each", type=int, default=3, help="most parameters of a kind in a scene")
     parser.add_argument("--size", type=int, default=48, help="longer side of the films, in pixels")
@@ -157,7 +175,10 @@ def main() -> None:
     for title, rows in found.items():
         markdown(title, rows)
     if options.out is not None:
+        slopes = {title: found.pop(title) for title in (SLOPES,) if title in found}
         write(options.out, found, machine())
+        if slopes:
+            write(options.out.with_name(f"{options.out.stem}_slopes.jsonl"), slopes, machine())
 
 
 if __name__ == "__main__":

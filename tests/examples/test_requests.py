@@ -1,5 +1,6 @@
 """The benchmark of requests: what it draws from a scene, slopes, how it groups refusals, and its processes."""
 
+import argparse
 import importlib
 import json
 import os
@@ -49,10 +50,11 @@ def test_every_request_of_a_scene_is_asked_once(modules) -> None:
     assert {line["result"] for line in lines} == {"taken"}
     names = [line["name"] for line in lines]
     assert len(set(names)) == len(names)
-    *rest, end = cases.records(options(modules, done=tuple(names[1:])))
+    begun, *rest, end = cases.records(options(modules, done=names[1:]))
+    assert begun == {"kind": "start", "file": "own/cornell_box.xml"}
     assert [line["name"] for line in rest] == [names[0]] * 2  # begun, and answered
     assert end == {"kind": "scene", "file": "own/cornell_box.xml", "result": "done", "requests": len(names)}
-    (line,) = cases.records(options(modules, file="nowhere.xml"))
+    _, line = cases.records(options(modules, file="nowhere.xml"))
     assert (line["kind"], line["result"]) == ("scene", "not loaded")
 
 
@@ -130,15 +132,51 @@ def test_tables_count_the_last_answer(modules) -> None:
 
 def test_a_program_that_hangs_or_crashes_is_told(modules) -> None:
     lines_of = modules("requests").lines_of
-    say = 'import os, time; os.write(1, b\'{"kind": "start"}\\n\'); '
+    say = "import json, os, sys, time; print(json.dumps(json.load(sys.stdin)), flush=True); "
 
     def run(code: str, patience: float = 600.0) -> list[dict]:
-        return list(lines_of([sys.executable, "-c", say + code], patience, dict(os.environ)))
+        return list(lines_of([sys.executable, "-c", say + code], {"kind": "start"}, patience, dict(os.environ)))
 
     start = {"kind": "start"}
     assert run("") == [start, {"kind": "end", "how": ""}]
     assert run("os.abort()") == [start, {"kind": "end", "how": "exit status -6"}]
     assert run("time.sleep(600)", patience=2.0)[-1] == {"kind": "end", "how": "hangs"}
+
+
+def test_a_study_goes_on_behind_a_crash_and_is_resumed(modules, tmp_path: Path, monkeypatch) -> None:
+    requests = modules("requests")
+    worker = tmp_path / "worker.py"
+    # The first scene crashes at its second parameter, the second scene while it is loaded.
+    worker.write_text(
+        "import json, os, sys\n"
+        "def say(**line):\n    print(json.dumps(line), flush=True)\n"
+        "for given in json.load(sys.stdin):\n"
+        "    file = given['label']\n"
+        "    say(kind='start', file=file)\n"
+        "    if file == 'b': os._exit(3)\n"
+        "    for name in sorted({'p', 'q', 'r'} - set(given['done'])):\n"
+        "        say(kind='start', file=file, what='pose', name=name)\n"
+        "        if name == 'q': os._exit(4)\n"
+        "        say(kind='request', file=file, what='pose', name=name, result='taken')\n"
+        "    say(kind='scene', file=file, result='done')\n"
+    )
+    monkeypatch.setattr(requests, "WORKER", worker)
+    given = {"records": tmp_path / "records.jsonl", "minutes": 10.0, "slopes": False, "seed": 0, "each": 3, "size": 8}
+    given |= {"budget": 1.0, "most": None, "define": [], "patience": 600.0, "jobs": 1}
+    scenes = [("a", Path("a"), Path(".")), ("b", Path("b"), Path("."))]
+    found = requests.Study(argparse.Namespace(**given)).run(scenes)
+    answers = [(row["kind"], row["file"], row.get("name"), row["result"]) for row in found]
+    assert answers == [
+        ("request", "a", "p", "taken"),
+        ("request", "a", "q", "crashed"),
+        ("request", "a", "r", "taken"),
+        ("scene", "a", None, "done"),
+        ("scene", "b", None, "crashed"),
+    ]
+    worker.unlink()
+    assert requests.Study(argparse.Namespace(**given)).run(scenes) == found
+    with pytest.raises(RuntimeError, match="exit status"):
+        requests.Study(argparse.Namespace(**given | {"seed": 1})).run(scenes)
 
 
 def test_scenes_are_found_and_tables_written(modules, tmp_path: Path) -> None:
