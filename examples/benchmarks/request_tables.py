@@ -29,7 +29,8 @@ def cause(sentence: str) -> str:
 def tables(rows: list[dict]) -> dict[str, list[dict]]:
     """Return the rows of each table by its title; those without rows are left out."""
     scenes = {row["file"]: row for row in rows if row["kind"] == "scene"}
-    requests = list({(row["file"], row["name"]): row for row in rows if row["kind"] == "request"}.values())
+    answers = sorted((row for row in rows if row["kind"] == "request"), key=lambda row: row["result"] in COMPARED)
+    requests = list({(row["file"], row["name"]): row for row in answers}.values())
     found = {
         BY_KIND: _by_kind(requests),
         BY_CAUSE: _by_cause(requests),

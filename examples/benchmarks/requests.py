@@ -1,7 +1,7 @@
 """Requests that scene files invite: of random parameters of each kind, which are answered, and how rightly.
 
-    python examples/benchmarks/requests.py FOLDER... --records requests_raw.jsonl --out docs/data/requests.jsonl
-    python examples/benchmarks/requests.py FOLDER... --records requests_raw.jsonl --out docs/data/requests.jsonl \
+    python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --out docs/data/requests.jsonl
+    python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --out docs/data/requests.jsonl \
         --slopes --most 3 --sample 12
 
 Of each scene up to ``--each`` parameters of every kind are drawn, and the plan is asked for the derivative by each,
@@ -21,9 +21,11 @@ import tempfile
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from itertools import zip_longest
 from pathlib import Path
 from threading import Lock
 
+import numpy as np
 from common import machine, markdown
 from request_tables import SLOPES, tables
 from work_precision_data import Records
@@ -51,6 +53,15 @@ def scene_files(given: list[Path]) -> Iterator[Scene]:
             with open(file, encoding="utf-8", errors="replace") as stream:
                 if "<scene" in stream.read(HEAD):
                     yield f"{path.name}/{file.relative_to(path).as_posix()}", file, path
+
+
+def sample(scenes: list[Scene], count: int, seed: int) -> list[Scene]:
+    """Return some scenes at random, of each repository one in turn."""
+    repositories: dict[str, list[Scene]] = {}
+    for n in np.random.default_rng(seed).permutation(len(scenes)):
+        repositories.setdefault(scenes[n][0].partition("/")[0], []).append(scenes[n])
+    turns = zip_longest(*(repositories[name] for name in sorted(repositories)))
+    return [scene for turn in turns for scene in turn if scene is not None][:count]
 
 
 def lines_of(command: list[str], given: object, patience: float, environment: dict) -> Iterator[dict]:
@@ -84,6 +95,11 @@ class Study:
         self._records = Records(options.records, KEY)
         self._until = time.time() + 60.0 * options.minutes
         self._about = {"compared": options.slopes, "seed": options.seed, "each": options.each, "size": options.size}
+
+    def known(self, scenes: list[Scene]) -> list[Scene]:
+        """Return the scenes without those that the records know not to load."""
+        lost = {row["file"] for row in self._records.rows if row["kind"] == "scene" and row["result"] != "done"}
+        return [scene for scene in scenes if scene[0] not in lost]
 
     def _keep(self, line: dict) -> None:
         with self._lock:
@@ -122,14 +138,17 @@ class Study:
                         kind = "request" if "name" in begun else "scene"
                         self._keep(begun | {"kind": kind, "result": "crashed", "why": line["how"]})
 
-    def run(self, scenes: list[Scene]) -> list[dict]:
-        """Ask all scenes, each compared one in a process of its own; returns the records."""
+    def run(self, scenes: list[Scene]) -> None:
+        """Ask all scenes, each compared one in a process of its own."""
         several = 1 if self._options.slopes else TOGETHER
         parts = [scenes[i : i + several] for i in range(0, len(scenes), several)]
         with ThreadPoolExecutor(self._options.jobs) as pool:
             for n, _ in enumerate(pool.map(self.ask, parts), 1):
                 print(f"\r{min(n * several, len(scenes))} of {len(scenes)} scenes", end="", file=sys.stderr, flush=True)
         print(file=sys.stderr)
+
+    def answers(self, scenes: list[Scene]) -> list[dict]:
+        """Return the records of some scenes."""
         labels = {label for label, _, _ in scenes}
         return [row for row in self._records.rows if row["file"] in labels]
 
@@ -166,12 +185,12 @@ def main() -> None:
     parser.add_argument("--slopes", action="store_true", help="compare with differences")
     parser.add_argument("--budget", type=float, default=10.0, help="processor seconds of a comparison")
     parser.add_argument("--most", type=int, help="most comparisons in a scene; default: all")
-    parser.add_argument("--sample", type=int, help="so many scenes, evenly spread; default: all")
+    parser.add_argument("--sample", type=int, help="so many scenes, repositories in turns; default: all")
     options = parser.parse_args()
     scenes = list(scene_files(options.scenes))
-    if options.sample is not None:
-        scenes = scenes[:: max(1, len(scenes) // options.sample)][: options.sample]
-    found = tables(Study(options).run(scenes))
+    study = Study(options)
+    study.run(scenes if options.sample is None else sample(study.known(scenes), options.sample, options.seed))
+    found = tables(study.answers(scenes))
     for title, rows in found.items():
         markdown(title, rows)
     if options.out is not None:

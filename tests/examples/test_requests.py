@@ -99,13 +99,13 @@ def test_refusals_are_grouped_without_their_names(modules) -> None:
     assert cause("a projector's frame") == "a projector's frame"
 
 
-def test_tables_count_the_last_answer(modules) -> None:
+def test_tables_count_each_request_once(modules) -> None:
     about = {"kind": "request", "file": "a/x.xml", "what": "pose"}
     compared = {"result": "right", "slope": 1.0, "error": 0.01, "wide": 1.0, "batches": 6}
     compared |= {"cold": 5.0, "second": 2.0, "warm": 0.1, "image": 0.05}
     rows = [
-        about | {"name": "p.to_world", "result": "taken"},
         about | {"name": "p.to_world"} | compared,
+        about | {"name": "p.to_world", "result": "taken"},
         about | {"name": "q.to_world", "result": "refused", "why": REFUSAL.format("q.to_world", "q")},
         about
         | {"file": "b/y.xml", "name": "r.to_world", "result": "refused", "why": REFUSAL.format("r.to_world", "r")},
@@ -164,7 +164,9 @@ def test_a_study_goes_on_behind_a_crash_and_is_resumed(modules, tmp_path: Path, 
     given = {"records": tmp_path / "records.jsonl", "minutes": 10.0, "slopes": False, "seed": 0, "each": 3, "size": 8}
     given |= {"budget": 1.0, "most": None, "define": [], "patience": 600.0, "jobs": 1}
     scenes = [("a", Path("a"), Path(".")), ("b", Path("b"), Path("."))]
-    found = requests.Study(argparse.Namespace(**given)).run(scenes)
+    study = requests.Study(argparse.Namespace(**given))
+    study.run(scenes)
+    found = study.answers(scenes)
     answers = [(row["kind"], row["file"], row.get("name"), row["result"]) for row in found]
     assert answers == [
         ("request", "a", "p", "taken"),
@@ -174,7 +176,10 @@ def test_a_study_goes_on_behind_a_crash_and_is_resumed(modules, tmp_path: Path, 
         ("scene", "b", None, "crashed"),
     ]
     worker.unlink()
-    assert requests.Study(argparse.Namespace(**given)).run(scenes) == found
+    again = requests.Study(argparse.Namespace(**given))
+    again.run(scenes)  # there is no worker
+    assert again.answers(scenes) == found and again.answers(scenes[:1]) == found[:4]
+    assert again.known(scenes) == scenes[:1]
     with pytest.raises(RuntimeError, match="exit status"):
         requests.Study(argparse.Namespace(**given | {"seed": 1})).run(scenes)
 
@@ -186,6 +191,9 @@ def test_scenes_are_found_and_tables_written(modules, tmp_path: Path) -> None:
     (tmp_path / "b.xml").write_text("<others/>")
     (found,) = requests.scene_files([tmp_path])
     assert found == (f"{tmp_path.name}/more/a.xml", tmp_path / "more" / "a.xml", tmp_path)
+    scenes = [(f"{folder}/{n}.xml", Path(), Path()) for folder, count in (("a", 5), ("b", 1)) for n in range(count)]
+    drawn = [label.partition("/")[0] for label, _, _ in requests.sample(scenes, 3, seed=1)]
+    assert drawn == ["a", "b", "a"]
     requests.write(tmp_path / "out.jsonl", {"a table": [{"x": 1}]}, {"cpu": "some"})
     (line,) = (tmp_path / "out.jsonl").read_text().splitlines()
     assert json.loads(line) == {"benchmark": "requests.py", "table": "a table", "x": 1, "machine": {"cpu": "some"}}
