@@ -1,8 +1,8 @@
 """Requests that scene files invite: of random parameters of each kind, which are answered, and how rightly.
 
     python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --out docs/data/requests.jsonl
-    python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --out docs/data/requests.jsonl \
-        --slopes --most 3 --sample 12
+    python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --slopes --most 3 \
+        --sample 12 --out docs/data/requests.jsonl
 
 Of each scene up to ``--each`` parameters of every kind are drawn, and the plan is asked for the derivative by each,
 with the integrator of the file: it is taken, or refused with a sentence. With ``--slopes`` a derivative along a random
@@ -191,13 +191,13 @@ def main() -> None:
     study = Study(options)
     study.run(scenes if options.sample is None else sample(study.known(scenes), options.sample, options.seed))
     found = tables(study.answers(scenes))
-    for title, rows in found.items():
-        markdown(title, rows)
     if options.out is not None:
-        slopes = {title: found.pop(title) for title in (SLOPES,) if title in found}
-        write(options.out, found, machine())
+        slopes = {title: rows for title, rows in found.items() if title == SLOPES}
+        write(options.out, {title: rows for title, rows in found.items() if title != SLOPES}, machine())
         if slopes:
             write(options.out.with_name(f"{options.out.stem}_slopes.jsonl"), slopes, machine())
+    for title, rows in found.items():
+        markdown(title, rows)
 
 
 if __name__ == "__main__":
