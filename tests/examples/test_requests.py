@@ -88,7 +88,18 @@ def test_slopes_are_unbiased_and_a_zero_derivative_is_wrong(modules) -> None:
     assert np.abs((values - 1.0) / errors).max() < SIGMAS
     assert cases.verdict(*cases.slope(0.0 * noise[0], truth + noise[1])) == "wrong"
     assert cases.verdict(1.015, 0.001) == "right" and cases.verdict(1.03, 0.001) == "wrong"
-    assert cases.verdict(1.0, 0.2) == "noisy"
+    assert cases.verdict(1.0, 0.06) == "noisy"
+
+
+def test_a_kink_has_no_derivative(modules, monkeypatch) -> None:
+    cases = modules("request_cases")
+    scene = cases.load(options(modules))
+    comparison = cases.Comparison(scene, "number", "red.reflectance.value", 0, np.ones(3))
+    for image, kinked in ((abs, True), (lambda x: x + 2.0 * x**2, False)):
+        monkeypatch.setattr(
+            comparison, "_moved", lambda step, spp, seed, image=image: image(step) * np.arange(3.0) + 0.1 * (seed % 2)
+        )
+        assert comparison._kinked(4) == kinked
 
 
 def test_refusals_are_grouped_without_their_names(modules) -> None:
