@@ -32,7 +32,7 @@ SEED, DIFFERENCE_SEED, KINK_SEED = 500, 7000, 90000
 #: Standard error above which a slope says nothing.
 NOISY = 0.05
 #: Relative difference of one-sided differences above which the image has no derivative; curvature's is about the step.
-KINK = 0.2
+KINK, KINK_BATCHES = 0.2, 16
 #: Samples of the calls that are timed.
 TIMED = 16
 
@@ -150,13 +150,22 @@ class Comparison:
 
     def _kinked(self, spp: int) -> bool:
         """Return whether the image has two one-sided derivatives, as where shapes in contact part."""
-        bends, slopes = [], []
-        for seed in range(KINK_SEED, KINK_SEED + FEWEST):
+        rows = []
+        for seed in range(KINK_SEED, KINK_SEED + KINK_BATCHES):
             before, here, after = (self._moved(k * self._half, spp, seed) for k in (-1.0, 0.0, 1.0))
-            bends.append((before - 2.0 * here + after) / self._half)
-            slopes.append((after - before) / (2.0 * self._half))
-        bend, slope = (float((np.mean(x[::2], axis=0) * np.mean(x[1::2], axis=0)).sum()) for x in (bends, slopes))
-        return bend > KINK**2 * slope
+            rows.append(((before - 2.0 * here + after) / self._half, (after - before) / (2.0 * self._half)))
+        bends, slopes = (np.array(column) for column in zip(*rows, strict=True))
+
+        def excess(which: np.ndarray) -> float:
+            """The squares of both, of means of even and of odd batches, which noise does not raise."""
+            even, odd = which[which % 2 == 0], which[which % 2 == 1]
+            bend, slope = (float((x[even].mean(axis=0) * x[odd].mean(axis=0)).sum()) for x in (bends, slopes))
+            return bend - KINK**2 * slope
+
+        everything = np.arange(KINK_BATCHES)
+        without = np.array([excess(np.delete(everything, i)) for i in everything])
+        error = np.sqrt((KINK_BATCHES - 1) / KINK_BATCHES * ((without - without.mean()) ** 2).sum())
+        return excess(everything) > 3.0 * float(error)
 
     def run(self, budget: float) -> dict:
         """Return processor seconds of the first calls, the slope, its error, and the slope on twice the step."""
