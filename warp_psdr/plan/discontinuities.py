@@ -131,9 +131,16 @@ INTERSECTION_CURVE = Discontinuity(
     find=_pierced,
     instead="move them apart",
 )
+SLIDING_STEPS = Discontinuity(
+    knows=words("material_points", "slides"),
+    applies=lambda asked: bool(asked.moves.steps) and asked.lit and asked.scatters_smoothly,
+    find=lambda _asked: "steps of a texture slide over its surface",
+    instead="use a bilinear bitmap",
+)
 #: Those of each method, in the order in which they are looked for.
 OF_METHODS: dict[type[Method], tuple[Discontinuity, ...]] = dict.fromkeys(
-    (PathSpace, Projective, EdgeSampling), (INTERSECTION_CURVE, TERMINATOR, INDIRECT_TERMINATOR, GEOMETRIC_HORIZON)
+    (PathSpace, Projective, EdgeSampling),
+    (INTERSECTION_CURVE, TERMINATOR, INDIRECT_TERMINATOR, GEOMETRIC_HORIZON, SLIDING_STEPS),
 )
 
 

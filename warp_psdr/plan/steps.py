@@ -53,7 +53,6 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
         for there, what in (
             (config.material_first, "interior.FilmAntithetic()"),
             (config.media is not None, "participating media"),
-            (bool(config.pulse), "the time bins of a 'transient_hdr_film'"),
             (config.camera in c.METERS, "a sensor without a film"),
         ):
             if there:

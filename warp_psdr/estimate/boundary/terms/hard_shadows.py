@@ -45,7 +45,7 @@ def launch(r: Request) -> Term | None:
     kernel = make_secondary_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose, False, r.indirect)
     # No share of the wedge: every sample goes to a light.
     head = [point_like_lights(r), r.camera, edges, moving_shapes(r.scene, r.moves), Guide()]
-    return term_of(r, TERM, kernel, head, samples)
+    return term_of(r, ON_SURFACES, kernel, head, samples)
 
 
 def applies_in_media(r: Request) -> bool:
@@ -66,7 +66,7 @@ def launch_in_media(r: Request) -> Term | None:
     return term_of(r, IN_MEDIA, kernel, head, samples)
 
 
-TERM = BoundaryTerm(
+ON_SURFACES = BoundaryTerm(
     name="hard_shadows",
     title="{} hard shadows",
     stream=1,
@@ -84,3 +84,4 @@ IN_MEDIA = BoundaryTerm(
     applies=applies_in_media,
     knows=words("media"),
 )
+TERMS = {term.name: term for term in (ON_SURFACES, IN_MEDIA)}

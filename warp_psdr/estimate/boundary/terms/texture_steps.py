@@ -11,6 +11,7 @@ from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.path_space.sliding_steps import make_sliding_steps_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
 from warp_psdr.options.words import words
+from warp_psdr.plan.discontinuities import SLIDING_STEPS
 from warp_psdr.plan.motion import seen_steps
 from warp_psdr.topology.texture_steps import film_lines, world_lines
 
@@ -31,9 +32,9 @@ def launch_seen(r: Request) -> Term | None:
     return term_of(r, SEEN, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
-def slides_unseen(r: Request) -> bool:
+def slides(r: Request) -> bool:
     """Whether steps slide over surfaces, and paths have vertices that the camera does not see."""
-    return bool(r.moves.steps) and r.lit and r.scatters_smoothly
+    return SLIDING_STEPS.applies(r.asked)
 
 
 def launch_sliding(r: Request) -> Term | None:
@@ -49,7 +50,7 @@ def launch_sliding(r: Request) -> Term | None:
 SEEN = BoundaryTerm(
     name="texture_steps",
     title="steps of textures",
-    stream=9,
+    stream=60,
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch_seen,
     knows=words("material_points", "slides", "media", "transient"),
@@ -58,9 +59,10 @@ SEEN = BoundaryTerm(
 SLIDING = BoundaryTerm(
     name="sliding_steps",
     title="steps that slide over surfaces",
-    stream=10,
+    stream=61,
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch_sliding,
-    applies=slides_unseen,
-    knows=words("material_points", "slides"),
+    applies=slides,
+    knows=SLIDING_STEPS.knows,
 )
+TERMS = {term.name: term for term in (SEEN, SLIDING)}
