@@ -34,6 +34,18 @@ def point_on(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
     return (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
 
 
+@wp.func
+def texcoords_at(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
+    """Texture coordinates of a point of a triangle; its barycentrics where the shape has none."""
+    shape = shape_at(scene, tri.shape)
+    if shape.has_uv == 0:
+        return wp.vec2(u, v)
+    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
+    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
+    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
+    return (1.0 - u - v) * t0 + u * t1 + v * t2
+
+
 @wp.struct
 class Surface:
     """Differential geometry at a point of a triangle."""

@@ -15,25 +15,18 @@ import warp as wp
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.primitive.affine import is_primitive, step_off_primitive
 from warp_psdr.kernels.primitive.shining import make_shining
-from warp_psdr.kernels.reading import load_float, load_vec2, shape_at, triangle_at
+from warp_psdr.kernels.reading import load_float, triangle_at
 from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
-from warp_psdr.kernels.surface import point_on
+from warp_psdr.kernels.surface import point_on, texcoords_at
 from warp_psdr.kernels.texture.texture import make_texture
 
 
 @wp.func
 def light_uv(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32) -> wp.vec2:
     """Texture coordinates at a point of a triangle."""
-    tri = scene.triangles[face]
-    shape = shape_at(scene, tri.shape)
-    if shape.has_uv == 0:
-        return wp.vec2(u, v)
-    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-    return (1.0 - u - v) * t0 + u * t1 + v * t2
+    return texcoords_at(scene, scene.triangles[face], u, v)
 
 
 @wp.func

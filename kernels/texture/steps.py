@@ -13,9 +13,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.constants import TEXTURE_CHECKERBOARD
-from warp_psdr.kernels.reading import load_vec2
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Texture, Triangle
+from warp_psdr.kernels.surface import texcoords_at
 from warp_psdr.kernels.texture.texture import transform_uv
 
 #: Squared slope of a place on a triangle below which it has no lines there.
@@ -45,18 +45,6 @@ def cells_of(texture: Texture) -> wp.vec2:
     if texture.kind == TEXTURE_CHECKERBOARD:
         return wp.vec2(2.0, 2.0)
     return wp.vec2(wp.float32(texture.width), wp.float32(texture.height))
-
-
-@wp.func
-def texcoords_at(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
-    """Texture coordinates of a point of a triangle; its barycentrics where the shape has none."""
-    shape = scene.shapes[tri.shape]
-    if shape.has_uv == 0:
-        return wp.vec2(u, v)
-    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-    return (1.0 - u - v) * t0 + u * t1 + v * t2
 
 
 @wp.func
