@@ -157,7 +157,7 @@ def test_to_uv_and_texture_coordinates_slide_what_the_camera_sees(texture) -> No
 
 MIRRORED = {
     "type": "rectangle",
-    "to_world": T.translate([0, 1.2, 0.8]) @ T.rotate([1, 0, 0], 75),
+    "to_world": T.translate([0, 1.4, 1.1]) @ T.rotate([1, 0, 0], 100),
     "bsdf": {"type": "conductor"},
 }
 
