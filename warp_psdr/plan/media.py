@@ -13,7 +13,7 @@ from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.absent import absent_shapes
-from warp_psdr.topology.edges_there import edges_there, joined
+from warp_psdr.topology.edges_there import edges_there, pierced
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
 if TYPE_CHECKING:
@@ -150,8 +150,8 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
     ]
     if bent:
         return f"beside media interpolated normals are not known, as {bent[0]!r} has; give face_normals"
-    met = joined(scene)
-    return f"{met}; move them apart, by a little" if met else ""
+    met = pierced(scene, set(moves.shapes))
+    return f"{met}, along a curve that moves; move them apart, by a little" if met else ""
 
 
 def moves_media_alone(scene: Scene, name: str) -> bool:

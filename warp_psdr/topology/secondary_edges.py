@@ -14,6 +14,7 @@ from warp_psdr.topology.outermost import outermost_edges
 if TYPE_CHECKING:
     from warp_psdr.kernels.boundary.local_form import Edges
     from warp_psdr.scene.scene import Scene
+    from warp_psdr.topology.edges import Adjacency
 
 #: Share of the samples that goes to edges of moving shapes alone; the others are for edges between moving end points.
 MOVING_SHARE = 0.5
@@ -30,7 +31,7 @@ def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
     if not len(keep):
         return None
     found = upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
-    set_beside(scene, found, keep)
+    set_beside(scene, found, scene_adjacency(scene), keep)
     return found
 
 
@@ -53,10 +54,10 @@ def secondary_candidates(scene: Scene, shapes: set[int]) -> tuple[np.ndarray, np
     return keep, p
 
 
-def set_beside(scene: Scene, found: Edges, numbers: np.ndarray) -> None:
-    """Tell uploaded edges, ``numbers`` of the scene's, which of them run along each other on different shapes."""
-    pairs = _beside(scene)
-    place = np.full(len(scene_adjacency(scene).length), -1, np.int32)
+def set_beside(scene: Scene, found: Edges, edges: Adjacency, numbers: np.ndarray) -> None:
+    """Tell uploaded edges, ``numbers`` of a list, which of them run along each other on different shapes."""
+    pairs = _beside(scene, edges)
+    place = np.full(len(edges.length), -1, np.int32)
     place[numbers] = np.arange(len(numbers), dtype=np.int32)
     pairs = place[pairs]
     pairs = pairs[(pairs >= 0).all(axis=1)]
@@ -69,12 +70,11 @@ def set_beside(scene: Scene, found: Edges, numbers: np.ndarray) -> None:
     found.beside_first = wp.array(first, dtype=wp.int32, device=scene.device)
 
 
-def _beside(scene: Scene) -> np.ndarray:
+def _beside(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return the pairs of edges of different shapes that touch along more than a point, both ways around, (P, 2)."""
     touching = along_sides(scene)
     if not len(touching):
         return np.zeros((0, 2), np.int64)
-    edges = scene_adjacency(scene)
     # Of a triangle's side there are several edges where it is cut (``t_junctions``).
     key = 3 * edges.faces.astype(np.int64) + sides_of(scene, edges)
     order = np.argsort(key, kind="stable")

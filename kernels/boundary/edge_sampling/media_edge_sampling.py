@@ -14,6 +14,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.edge_sampling.drawn_edge import SLOT_LIGHT, DrawnEdge, make_drawn_edge
 from warp_psdr.kernels.boundary.edge_sampling.edge_tree import EdgeTrees
 from warp_psdr.kernels.boundary.edge_sampling.vertex_lobes import make_vertex_lobes
@@ -202,7 +203,8 @@ def make_media_edge(config: PathConfig, tree: bool, candidates: int, traces: boo
             if wp.static(emissive) or max_depth < 0 or k + 2 <= max_depth:
                 radiance += media_incident(scene, source, medium, o, s.w, k, max_depth, rr_depth).total
         # pdf_l = q boost / scale, q = density sin(phi) / t_1^2; t_1^2 cancels against the measure.
-        r.value = (drawn.scale / (drawn.density * drawn.sine)) * wp.cw_mul(f, radiance)
+        share = edge_share(scene, edges, point, drawn.tangent, s.w, drawn.side)
+        r.value = (share * drawn.scale / (drawn.density * drawn.sine)) * wp.cw_mul(f, radiance)
         r.segment = s
         r.drawn = drawn
         return r

@@ -13,7 +13,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.coincident import pass_together
+from warp_psdr.kernels.boundary.coincident import edge_share, pass_together
 from warp_psdr.kernels.boundary.detector import Incident, radiance_behind, serves_length
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
@@ -134,6 +134,7 @@ def make_media_segment(config: PathConfig, deep: bool):
             twice = exp_minus(extinction_along(scene, scene.media.records[medium], r.w).sigma_t, -(r.t1 + behind))
             ahead.transmittance = wp.cw_mul(ahead.transmittance, twice)
         r.radiance = wp.cw_mul(ahead.transmittance, r.radiance)
+        r.scale = edge_share(scene, edges, point, along, r.w, side)
         if (wp.static(deep) and r.light < 0) or not vanishes(r.radiance):
             r.valid = 1
         return r, ahead
@@ -235,9 +236,9 @@ def make_media_secondary_kernel(
             s.tau = s.t1 / (s.t1 + distance)
         sent = wp.cw_mul(first.transmittance, s.radiance)
         if wp.static(evaluates):
-            scale = wp.length(s.boundary_normal) * wp.length(point.p1 - point.p0) / (point.pdf * pdf)
+            scale = s.scale * wp.length(s.boundary_normal) * wp.length(point.p1 - point.p0) / (point.pdf * pdf)
         else:
-            scale = wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
+            scale = s.scale * wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
         lens = lens_point(sample_2d(sampler, SLOT_LENS))
         incident = Incident()
         total = wp.float32(0.0)  # the sum of the w_k

@@ -44,13 +44,14 @@ def ordered_edges(
     apart = np.argsort(share > 0.0, kind="stable")
     order, turned = order[apart], turned[apart]
     found = upload(scene, edges, keep[order], p[order], low, high)
-    set_beside(scene, found, keep[order])
+    set_beside(scene, found, scene_adjacency(scene), keep[order])
     return found, share[apart], keep[order], turned
 
 
 def follow(scene: Scene, found: Edges, numbers: np.ndarray, turned: np.ndarray) -> None:
     """Let ordered edges start and end where they do now, beside which others run now."""
-    points = scene_adjacency(scene).points[numbers]
+    edges = scene_adjacency(scene)
+    points = edges.points[numbers]
     points[turned] = points[turned, ::-1]
     found.points = wp.array(np.ascontiguousarray(points, dtype=np.float32), dtype=wp.vec3, device=scene.device)
-    set_beside(scene, found, numbers)
+    set_beside(scene, found, edges, numbers)

@@ -16,8 +16,7 @@ def launch(r: Request) -> Term | None:
     """Return the term of the edges that the camera sees."""
     require_uncut(r.scene, r.sensor, set(r.moves.shapes), camera_moves=r.view_moves)
     found = film_edges_of(r)
-    curves = None if r.config.media is not None else curves_of(r, camera_moves=r.view_moves)
-    edges = primary_edges(r.scene, found, curves)
+    edges = primary_edges(r.scene, found, curves_of(r, camera_moves=r.view_moves))
     if edges is None:
         return None
     creases = 0.0 if r.config.material_first else found.share

@@ -19,6 +19,7 @@ from warp_psdr.plan.discontinuities import Asked
 from warp_psdr.plan.motion import Motion
 from warp_psdr.plan.transient import gates_of
 from warp_psdr.topology.edges import select
+from warp_psdr.topology.edges_there import curves_there
 from warp_psdr.topology.film_edges import FilmEdges, film_edges
 from warp_psdr.topology.intersection_curves import moving_curves, scene_curves
 
@@ -223,7 +224,7 @@ def film_edges_of(r: Request) -> FilmEdges:
 
 def curves_of(r: Request, *, camera_moves: bool) -> Adjacency:
     """Return the curves of intersection that move."""
-    curves = scene_curves(r.scene)
+    curves = scene_curves(r.scene) if r.config.media is None else curves_there(r.scene)
     return (
         curves if camera_moves else select(curves, np.flatnonzero(moving_curves(r.scene, curves, set(r.moves.shapes))))
     )
