@@ -72,6 +72,7 @@ KINDS = (
     "through_mirrors",
     "texture_steps",
     "sliding_steps",
+    "light_frame",
     "film_border",
     "path_warped_area",
     "guiding",

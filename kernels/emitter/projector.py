@@ -56,6 +56,13 @@ def frame_dot(
     return a_uv[0] * (0.5 + scale * across) + a_uv[1] * (0.5 + scale * aspect * up)
 
 
+@wp.func
+def image_aspect(scene: Scene, e: Emitter) -> wp.float32:
+    """Width over height of a projector's image."""
+    t = texture_record(scene, e.texture)
+    return wp.float32(wp.max(t.width, 1)) / wp.float32(wp.max(t.height, 1))
+
+
 @functools.cache
 def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
     """Return the functions of the projector (see `DeltaLightFunctions`).
@@ -68,11 +75,6 @@ def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunct
     texture_at = make_texture(KINDS)
 
     @wp.func
-    def aspect_of(scene: Scene, e: Emitter) -> wp.float32:
-        t = texture_record(scene, e.texture)
-        return wp.float32(wp.max(t.width, 1)) / wp.float32(wp.max(t.height, 1))
-
-    @wp.func
     def place_in_frame(scene: Scene, e: Emitter, d: wp.vec3) -> wp.vec3:
         """Where the image is read, and 1; the third is 0 beyond the frame and behind the pinhole."""
         values = scene.values
@@ -81,7 +83,7 @@ def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunct
         if wp.dot(z_axis, d) <= 0.0:
             return wp.vec3(0.0, 0.0, 0.0)
         fov = values[e.cutoff]
-        aspect = aspect_of(scene, e)
+        aspect = image_aspect(scene, e)
         u = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(1.0, 0.0))
         v = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(0.0, 1.0))
         # NaN passes, and makes the sample invalid.
@@ -154,7 +156,7 @@ def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunct
             accumulated = accumulate_texture(scene, target, e.texture, 0, 0.0, 0.0, uv, scale * d_product)
             x_axis, y_axis = load_column(values, m, 0), load_column(values, m, 1)
             g_d, g_x, g_y, g_z, g_fov, _aspect, _a_uv = wp.grad(frame_dot)(
-                d, x_axis, y_axis, z_axis, values[e.cutoff], aspect_of(scene, e), accumulated.uv
+                d, x_axis, y_axis, z_axis, values[e.cutoff], image_aspect(scene, e), accumulated.uv
             )
             result.x += g_d
             if wp.static("radiance" in wanted):

@@ -74,27 +74,35 @@ def test_parameters_have_mitsubas_names_and_values():
         ({"type": "rgb", "value": 1.0}, True),
         (image(random_map()), True),
         (image(framed(), filter_type="nearest"), True),
-        (image(framed(), to_uv=psdr.Transform.scale([2.0, 2.0, 1.0])), True),
+        (image(random_map(), to_uv=psdr.Transform.scale([2.0, 2.0, 1.0])), True),
         (image(framed()), False),
         (image(framed(), wrap_mode="clamp"), False),
     ],
     ids=["constant", "bitmap", "nearest", "to_uv", "black border", "clamped black border"],
 )
-def test_the_edge_of_an_image_is_named_and_refused_unless_it_is_black(irradiance, edge):
+def test_the_edge_of_an_image_is_named_unless_it_is_black(irradiance, edge):
     scene = psdr.load_dict(scene_of(size=4, irradiance=irradiance))
     params = psdr.traverse(scene)
     for name, moves in [("lamp.to_world", True), ("lamp.x_fov", edge), ("floor.to_world", True), ("lamp.scale", False)]:
-        left_out = psdr.PathIntegrator(max_depth=2, boundary=None)
-        reasons = psdr.plan(scene, names=[name], integrator=left_out).discontinuities
+        reasons = psdr.plan(scene, names=[name], integrator=psdr.PathIntegrator(max_depth=2)).discontinuities
         assert bool(reasons) == moves
         if name.startswith("lamp") and moves:
             assert ("edge of the projected image" in reasons[0]) == edge
-        if edge and moves:
-            with pytest.raises(ValueError, match=r"projector's image ends in a hard edge|'nearest'"):
-                psdr.plan(scene, names=[name], integrator=psdr.PathIntegrator(max_depth=2))
-        else:
-            psdr.plan(scene, names=[name], integrator=psdr.PathIntegrator(max_depth=2))
     assert "lamp.irradiance.to_uv" not in params
+
+
+@pytest.mark.parametrize(
+    ("objects", "texture", "match"),
+    [
+        ({"floor": {"type": "rectangle", "bsdf": {"type": "conductor"}}}, {}, "beside smooth mirrors, glass"),
+        ({}, {"filter_type": "nearest", "to_uv": psdr.Transform.scale([2, 2, 1])}, "'nearest'.*to_uv"),
+    ],
+    ids=["mirror", "nearest through to_uv"],
+)
+def test_an_edge_without_a_term_is_refused(objects, texture, match):
+    scene = psdr.load_dict(scene_of(size=4, irradiance=image(random_map(), **texture)) | objects)
+    with pytest.raises(ValueError, match=match):
+        psdr.plan(scene, names=["lamp.to_world"], integrator=psdr.PathIntegrator(max_depth=2))
 
 
 @pytest.mark.parametrize(

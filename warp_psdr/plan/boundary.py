@@ -13,7 +13,7 @@ from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
 from warp_psdr.plan import discontinuities, media, primitives, steps
-from warp_psdr.plan.discontinuities import Asked
+from warp_psdr.plan.discontinuities import FRAME, LIGHT_FRAME, Asked
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.needs import needs, unknown_to_boundary
 from warp_psdr.rows import reparametrised
@@ -21,6 +21,7 @@ from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
+from warp_psdr.topology.light_frames import has_hard_frame, unknown_steps
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Emitter
@@ -123,7 +124,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], method: Metho
     if moving:
         return moving
     for e in scene.builder.emitters:
-        edge = edge_of_light(scene, e)
+        edge = _unknown_edge_of_light(scene, config, e)
         if edge:
             return edge
     return _in_many_faces(scene, names)
@@ -174,26 +175,25 @@ def edge_of_light(scene: Scene, e: Emitter) -> str:
     if e.kind == c.EMITTER_DIRECTIONAL_AREA:
         return "the light of a directionalarea ends in a hard edge; use a 'directional' light, or an 'area' light"
     if e.kind == c.EMITTER_PROJECTOR and has_hard_frame(scene, e):
-        return (
-            "a projector's image ends in a hard edge of light; give it a border of black texels (with 'bilinear' "
-            "filtering and without to_uv)"
-        )
+        return f"{FRAME}; {LIGHT_FRAME.instead}"
     return ""
 
 
-def has_hard_frame(scene: Scene, e: Emitter) -> bool:
-    """Whether the image of a projector jumps at its frame, or within it: not if its outermost texels are black.
-
-    A bilinear look-up on the frame, half a texel outside of their centres, mixes those of two opposite sides at most.
-    """
-    t = scene.builder.textures[e.texture]
-    values = scene.values.numpy()
-    if t.kind != c.TEXTURE_BITMAP or t.filter != c.FILTER_BILINEAR:
-        return True
-    if not np.array_equal(values[t.to_uv : t.to_uv + 9].reshape(3, 3), np.eye(3)):
-        return True
-    texels = values[t.offset : t.offset + t.height * t.width * t.channels].reshape(t.height, t.width, t.channels)
-    return any(bool(side.any()) for side in (texels[0], texels[-1], texels[:, 0], texels[:, -1]))
+def _unknown_edge_of_light(scene: Scene, config: PathConfig, e: Emitter) -> str:
+    """Say which hard edge of a light has no term here, and what to do; empty: none."""
+    edge = edge_of_light(scene, e)
+    if not edge or e.kind != c.EMITTER_PROJECTOR:
+        return edge
+    if unknown_steps(scene, e):
+        return unknown_steps(scene, e)
+    for there, what in (
+        (config.media is not None, "participating media"),
+        (has_delta_lobes(config.surfaces.bsdfs), "smooth mirrors, glass or masks"),
+        (config.camera in c.METERS, "a sensor without a film"),
+    ):
+        if there:
+            return f"{FRAME}, which is not known beside {what}; {LIGHT_FRAME.instead}"
+    return ""
 
 
 def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:

@@ -19,6 +19,7 @@ from warp_psdr.options.words import Word, words
 from warp_psdr.plan.motion import Motion
 from warp_psdr.topology.interpolated_normals import interpolated_choice, terminator_faces
 from warp_psdr.topology.intersection_curves import moving_curves, scene_curves
+from warp_psdr.topology.light_frames import hard_frames
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -137,10 +138,17 @@ SLIDING_STEPS = Discontinuity(
     find=lambda _asked: "steps of a texture slide over its surface",
     instead="use a bilinear bitmap",
 )
+FRAME = "a projector's image ends in a hard edge of light"
+LIGHT_FRAME = Discontinuity(
+    knows=words("material_points", "slides"),
+    applies=lambda asked: asked.vertex_motion.edges and asked.lit and asked.scatters_smoothly,
+    find=lambda asked: FRAME if hard_frames(asked.scene) else "",
+    instead="give it a border of black texels (with 'bilinear' filtering and without to_uv)",
+)
 #: Those of each method, in the order in which they are looked for.
 OF_METHODS: dict[type[Method], tuple[Discontinuity, ...]] = dict.fromkeys(
     (PathSpace, Projective, EdgeSampling),
-    (INTERSECTION_CURVE, TERMINATOR, INDIRECT_TERMINATOR, GEOMETRIC_HORIZON, SLIDING_STEPS),
+    (INTERSECTION_CURVE, TERMINATOR, INDIRECT_TERMINATOR, GEOMETRIC_HORIZON, SLIDING_STEPS, LIGHT_FRAME),
 )
 
 

@@ -8,6 +8,7 @@ from warp_psdr.kernels.constants import RFILTER_BOX
 from warp_psdr.options import interior
 from warp_psdr.scene.layout import CAMERA, LIGHT_RADIANCE, MATERIAL, POSITIONS, RADIANCE, SHAPE_POSE
 from warp_psdr.topology.interpolated_normals import interpolated_faces
+from warp_psdr.topology.light_frames import hard_frames
 from warp_psdr.topology.outlook import is_room_around
 
 if TYPE_CHECKING:
@@ -42,6 +43,8 @@ def sees_a_room(scene: Scene, names: list[str], sensor: int) -> bool:
         if not still and not (moved and uses <= {POSITIONS, SHAPE_POSE}):
             return False
         if moved and len(scene.description.shapes) > 1:
+            return False
+        if moved and hard_frames(scene):
             return False
     if interpolated_faces(scene).any():
         return False

@@ -1,4 +1,4 @@
-"""Shadow edges of point, spot and directional lights alone, between surfaces and in media."""
+"""Shadow edges of point, spot and directional lights alone, between surfaces and in media; frames of images."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ import warp as wp
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
+from warp_psdr.kernels.boundary.path_space.light_frame import make_light_frame_kernel
 from warp_psdr.kernels.boundary.path_space.media_secondary import make_media_secondary_kernel
 from warp_psdr.kernels.boundary.path_space.secondary import make_secondary_kernel
 from warp_psdr.kernels.structs import Emitter
 from warp_psdr.kernels.structs import Scene as SceneData
-from warp_psdr.options.boundary import EdgeSampling
+from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
 from warp_psdr.options.words import words
+from warp_psdr.plan.discontinuities import LIGHT_FRAME
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.topology.edges_there import secondary_edges_there
+from warp_psdr.topology.light_frames import frame_lines
 from warp_psdr.topology.secondary_edges import secondary_edges
 
 
@@ -66,6 +69,22 @@ def launch_in_media(r: Request) -> Term | None:
     return term_of(r, IN_MEDIA, kernel, head, samples)
 
 
+def shows_frames(r: Request) -> bool:
+    """Whether there is a projector, and lights, surfaces or the camera move."""
+    there = any(e.kind == c.EMITTER_PROJECTOR for e in r.scene.builder.emitters)
+    return there and LIGHT_FRAME.applies(r.asked)
+
+
+def launch_frames(r: Request) -> Term | None:
+    """Return the term of the frames of projected images, and of their texels."""
+    lines = frame_lines(r.scene)
+    if lines is None:
+        return None
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    kernel = make_light_frame_kernel(r.config, r.role, r.moves.camera, r.moves.light_pose)
+    return term_of(r, FRAMES, kernel, [r.scene.data(), r.camera, lines, moving_shapes(r.scene, r.moves)], samples)
+
+
 ON_SURFACES = BoundaryTerm(
     name="hard_shadows",
     title="{} hard shadows",
@@ -84,4 +103,13 @@ IN_MEDIA = BoundaryTerm(
     applies=applies_in_media,
     knows=words("media"),
 )
-TERMS = {term.name: term for term in (ON_SURFACES, IN_MEDIA)}
+FRAMES = BoundaryTerm(
+    name="light_frame",
+    title="frames of projected images",
+    stream=62,
+    methods=(PathSpace, Projective, EdgeSampling),
+    launch=launch_frames,
+    applies=shows_frames,
+    knows=LIGHT_FRAME.knows,
+)
+TERMS = {term.name: term for term in (ON_SURFACES, IN_MEDIA, FRAMES)}
