@@ -13,7 +13,7 @@ make the fit converge:
 * Unknown are not control points, of which the outer ones count little, but modes of each fibre: shift, tilt, bend ...
   The kernel ``move_fibres`` turns them into control points, on the tape of the rendering. Finer modes take smaller
   steps, and radii have steps of their own.
-* Where fibres would run through each other, they are pushed apart after a step; a scene in which they do is refused.
+* Where fibres would run through each other, they are pushed apart after a step; a scene in which many do is refused.
 
 Leaves in ``out/fibres/``: ``result.png`` (photographs, start, recovered), ``gradient.png`` (the first gradient of the
 loss, on the fibres, beside what is sought), ``loss.png``, ``error.png`` and ``report.json``.

@@ -1,4 +1,4 @@
-"""Pairs of curves that run through each other, and triangles that run through curves.
+"""Pairs of curves that run through each other, triangles that run through curves, and what meshes bury.
 
 Every segment, or triangle, is compared with the pieces whose boxes meet its own. A piece is approximated by ``FINER``
 cones between spheres along its axis; those at the ends of curves count as well. Most pairs of pieces are separated by
@@ -27,6 +27,8 @@ from warp_psdr.kernels.structs import Scene
 FINER = 2
 #: Depth, over the smaller radius, up to which what runs into a tube only touches it.
 TOUCHING = 1.0e-2
+#: Halvings of a chord that find where its cone leaves another: to a hundredth of its length.
+HALVINGS = 7
 #: Distance along a curve, over the radius, up to which its own parts are next to each other.
 APART = 4.0
 
@@ -112,23 +114,47 @@ def way_along(
 
 
 @wp.func
-def cones_overlap(
-    s: Spline, t: Spline, low: wp.vec2, size: wp.vec2, apart: wp.float32, length: wp.vec2, connected: wp.bool
-) -> wp.bool:
-    """Whether the cones of two pieces run into each other; ``connected``: of one curve, ``apart`` along it."""
-    for k in range(wp.static(FINER)):
-        start = low[0] + size[0] * (wp.float32(k) / wp.static(float(FINER)))
-        a = chord_of(s, start, start + size[0] / wp.static(float(FINER)))
-        for m in range(wp.static(FINER)):
-            start_m = low[1] + size[1] * (wp.float32(m) / wp.static(float(FINER)))
-            b = chord_of(t, start_m, start_m + size[1] / wp.static(float(FINER)))
-            way = apart + wp.float32(wp.static(FINER) - 1 - k) * length[0] + wp.float32(m) * length[1]
-            radius = wp.max(wp.max(a.start[3], a.end[3]), wp.max(b.start[3], b.end[3]))
-            if not connected or way >= wp.static(APART) * radius:
-                near = chords_apart(a, b)
-                if near[1] + near[2] - near[0] > wp.static(TOUCHING) * wp.min(near[1], near[2]):
-                    return True
-    return False
+def gap_beside(a: Chord, b: Chord, v: wp.float32) -> wp.float32:
+    """Distance of the sphere at a place of a chord from the cone of another."""
+    p = wp.lerp(a.start, a.end, v)
+    c = Chord()
+    c.start = p
+    c.end = p
+    near = chords_apart(c, b)
+    return near[0] - near[1] - near[2]
+
+
+@wp.func
+def common_part(a: Chord, b: Chord) -> wp.vec2:
+    """The places of a chord between which its cone runs into that of another; (0, -1): nowhere."""
+    at = nearest_places(a, b)[0]
+    near = chords_apart(a, b)
+    if near[1] + near[2] - near[0] <= wp.static(TOUCHING) * wp.min(near[1], near[2]):
+        return wp.vec2(0.0, -1.0)
+    # The gap is convex along the chord.
+    first = wp.float32(0.0)
+    last = wp.float32(1.0)
+    if gap_beside(a, b, 0.0) > 0.0:
+        outside = wp.float32(0.0)
+        first = at
+        for _k in range(wp.static(HALVINGS)):
+            middle = 0.5 * (outside + first)
+            if gap_beside(a, b, middle) > 0.0:
+                outside = middle
+            else:
+                first = middle
+        first = outside
+    if gap_beside(a, b, 1.0) > 0.0:
+        outside = wp.float32(1.0)
+        last = at
+        for _k in range(wp.static(HALVINGS)):
+            middle = 0.5 * (outside + last)
+            if gap_beside(a, b, middle) > 0.0:
+                outside = middle
+            else:
+                last = middle
+        last = outside
+    return wp.vec2(first, last)
 
 
 @wp.func
@@ -176,19 +202,23 @@ def find_overlaps(
     record: wp.int32,
     other: wp.int32,
     # Out:
-    found_out: wp.array(dtype=wp.int32),
+    count_out: wp.array(dtype=wp.int32),
+    pairs_out: wp.array(dtype=wp.vec2i),
+    places_out: wp.array(dtype=wp.vec4),
+    lengths_out: wp.array(dtype=wp.vec2),
 ):
-    """One thread a segment of the shape of a record: whether it runs through another's curves.
+    """One thread a segment of the shape of a record: where it runs through another's curves.
 
     Args:
         scene: the scene.
         record: number of the record of a shape of curves.
         other: that of another, or the same.
-        found_out: (1,) set to 1 if one does.
+        count_out: (1,) raised by the number of pairs of cones that do.
+        pairs_out: their segments, as many as there is room for.
+        places_out: a sphere around what they have in common.
+        lengths_out: the length of the first one's axis in there, and the smaller radius.
     """
     own = wp.tid()
-    if found_out[0] != 0:
-        return
     tri = triangle_at(scene, record)
     tri_b = triangle_at(scene, other)
     g = curves_of(scene, tri)
@@ -230,10 +260,31 @@ def find_overlaps(
             if connected:
                 most = wp.static(APART) * wp.max(a.reach, b.reach)
                 apart = way_along(scene, g, cubic, own * g.pieces + k, item, origin, most)
-            lengths = wp.vec2(chord_length(a), chord_length(b)) / wp.static(float(FINER))
-            if cones_overlap(s, t, wp.vec2(low, low_b), wp.vec2(size, size_b), apart, lengths, connected):
-                found_out[0] = 1
-                return
+            length_a = chord_length(a) / wp.static(float(FINER))
+            length_b = chord_length(b) / wp.static(float(FINER))
+            for n in range(wp.static(FINER * FINER)):
+                of_a = n / wp.static(FINER)
+                of_b = n % wp.static(FINER)
+                start = low + size * (wp.float32(of_a) / wp.static(float(FINER)))
+                start_b = low_b + size_b * (wp.float32(of_b) / wp.static(float(FINER)))
+                c = chord_of(s, start, start + size / wp.static(float(FINER)))
+                d = chord_of(t, start_b, start_b + size_b / wp.static(float(FINER)))
+                way = apart + wp.float32(wp.static(FINER) - 1 - of_a) * length_a + wp.float32(of_b) * length_b
+                radius = wp.max(wp.max(c.start[3], c.end[3]), wp.max(d.start[3], d.end[3]))
+                if connected and way < wp.static(APART) * radius:
+                    continue
+                part = common_part(c, d)
+                if part[1] <= part[0]:
+                    continue
+                at = wp.atomic_add(count_out, 0, 1)
+                if at < pairs_out.shape[0]:
+                    axis = xyz(c.end - c.start)
+                    inside = (part[1] - part[0]) * wp.length(axis)
+                    middle = origin + xyz(c.start) + 0.5 * (part[0] + part[1]) * axis
+                    pairs_out[at] = wp.vec2i(own, segment)
+                    places_out[at] = wp.vec4(middle[0], middle[1], middle[2], 0.5 * inside + c.reach)
+                    least = wp.min(wp.max(c.start[3], c.end[3]), wp.max(d.start[3], d.end[3]))
+                    lengths_out[at] = wp.vec2(inside, least)
 
 
 @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
@@ -289,3 +340,26 @@ def find_pierced(
                 at = wp.atomic_add(count_out, 0, 1)
                 if at < pairs_out.shape[0]:
                     pairs_out[at] = wp.vec2i(i, segment)
+
+
+@wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
+def find_buried(
+    # In:
+    mesh: wp.uint64,
+    places: wp.array(dtype=wp.vec4),
+    # Out:
+    buried_out: wp.array(dtype=wp.int32),
+):
+    """One thread a sphere (center, radius): whether all of it is inside of a closed mesh.
+
+    Args:
+        mesh: a ``wp.Mesh`` with winding numbers.
+        places: (N,).
+        buried_out: (N,) set to 1 where it is.
+    """
+    i = wp.tid()
+    p = xyz(places[i])
+    found = wp.mesh_query_point_sign_winding_number(mesh, p, 1.0e30)
+    q = wp.mesh_eval_position(mesh, found.face, found.u, found.v)
+    if found.result and found.sign < 0.0 and wp.length(p - q) > places[i][3]:
+        buried_out[i] = 1

@@ -53,7 +53,7 @@ def choose(
         unknown_to_boundary(method, needed)
         or _metered(scene, config, depth)
         or media.refused(scene, config, names)
-        or primitives.refused(scene, config, integrator, names)
+        or primitives.refused(scene, config, integrator, names, sensor)
         or _uncovered(scene, config, names, method)
         or discontinuities.unknown(Asked(scene, config, motion(scene, names), sensor, depth), method, needed)
         or reparametrised.refused(scene, config, integrator, method, names, sensor)

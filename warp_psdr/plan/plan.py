@@ -46,6 +46,7 @@ from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.scene.parameters import check_owner, parameter_of
 from warp_psdr.topology import contacts
 from warp_psdr.topology.interpolated_normals import interpolated_faces
+from warp_psdr.topology.kinds.tube_overlaps import tube_overlaps
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
@@ -250,7 +251,10 @@ def _boundary(
     term = choose(scene, config, integrator, names, moving, sensor)
     reparametrised.prepare(scene, term)
     lines = [("boundary term", term.label, "; ".join(moving))]
-    repeated = guiding.automatic(scene, motion(scene, names), sensor, integrator.max_depth)
+    moves = motion(scene, names)
+    over = tube_overlaps(scene, sensor) if moves.camera or moves.shapes else None
+    lines += [over.tell(scene)] if over is not None else []
+    repeated = guiding.automatic(scene, moves, sensor, integrator.max_depth)
     learns = repeated.on and not config.pulse
     if integrator.boundary == "auto" and learns and isinstance(term, Connecting):
         if isinstance(term, PathSpace) and repeated.method is not None:

@@ -23,6 +23,7 @@ from warp_psdr.topology.kinds.exact_shapes import reaching
 from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
 from warp_psdr.topology.kinds.joined_rims import joined_rims
 from warp_psdr.topology.kinds.network_silhouettes import is_open_network, network_shapes
+from warp_psdr.topology.kinds.tube_overlaps import tube_overlaps
 from warp_psdr.topology.tube_contacts import pierced_tubes
 from warp_psdr.topology.tube_crossings import resting_end
 from warp_psdr.topology.unchanged import kept
@@ -114,7 +115,7 @@ def _of_mirrors(scene: Scene) -> str:
     return ""
 
 
-def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str]) -> str:
+def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names: list[str], sensor: int) -> str:
     """Say what shapes without triangles keep the boundary term from being estimated; empty: nothing."""
     moves_rays = isinstance(integrator.boundary, Reparametrised)
     resting = has_sliding(config.surfaces.primitives)
@@ -143,8 +144,10 @@ def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
         pair = kept(scene, (surface, moved), functools.partial(find, scene, moved))
         if pair is not None:
             through = f"{{b}} runs through the {surface} of {{a}}"
-            what = through if pair[0] != pair[1] else "tubes of {a} run through each other"
-            return _told(scene, pair, f"{what}, along a curve that moves; move them apart")
+            return _told(scene, pair, f"{through}, along a curve that moves; move them apart")
+    over = tube_overlaps(scene, sensor) if moves.camera or moves.shapes else None
+    if over is not None and over.problem():
+        return over.problem()
     pair = kept(scene, ("resting end", moved), lambda: resting_end(scene, moved))
     return _told(scene, pair, "an open end of {a} lies on {b}, along a line that moves; sink it in or lift it off")
 

@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.primitive.curves_overlap import FINER, find_overlaps, find_pierced
+from warp_psdr.kernels.primitive.curves_overlap import FINER, find_pierced
 from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.scene.kinds.sdfgrid import is_passed
@@ -33,10 +33,9 @@ ROOM = 4096
 
 
 def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] | None:
-    """Return curves and a shape, no mesh, that runs through them, one of them among ``shapes`` (None: any)."""
+    """Return curves and a shape, neither mesh nor curves, that runs through them, one among ``shapes`` (None: any)."""
     corners, owners = (found[scene.face_count :] for found in with_exact_shapes(scene))
-    found = curve_shapes(scene)
-    for number, i in enumerate(found):
+    for i in curve_shapes(scene):
         rows = np.arange(len(corners))
         if shapes is not None and i not in shapes:
             rows = rows[np.isin(owners, sorted(shapes))]
@@ -44,24 +43,11 @@ def pierced_tubes(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int
         if len(pierced):
             return i, int(owners[rows[pierced[-1, 0]]])
         grids = [j for j in grid_shapes(scene) if shapes is None or i in shapes or j in shapes]
-        cones = _cones(scene, i) if grids else np.zeros((0, 2, 4))
+        cones = cones_along(scene, i) if grids else np.zeros((0, 2, 4))
         for j in grids:
             if _meets_grid(scene, cones, j):
                 return i, j
-        for j in found[number:]:
-            if (shapes is None or i in shapes or j in shapes) and _overlap(scene, i, j):
-                return i, j
     return None
-
-
-def _overlap(scene: Scene, shape: int, other: int) -> bool:
-    """Whether curves of a shape run through those of another, or through each other."""
-    curves = scene.geometry(shape)
-    assert isinstance(curves, Curves)
-    records = [scene.face_count + scene.builder.primitives.index(i) for i in (shape, other)]
-    found = wp.zeros(1, dtype=wp.int32, device=scene.device)
-    launch(find_overlaps, len(curves.firsts), [scene.data(), *records], [found], device=scene.device)
-    return bool(found.numpy()[0])
 
 
 def pierced_segments(scene: Scene, shape: int, corners: np.ndarray, nearly: bool = False) -> np.ndarray:
@@ -90,7 +76,7 @@ def pierced_segments(scene: Scene, shape: int, corners: np.ndarray, nearly: bool
     return np.stack([near[found[:, 0]], found[:, 1]], axis=1)
 
 
-def _cones(scene: Scene, shape: int) -> np.ndarray:
+def cones_along(scene: Scene, shape: int) -> np.ndarray:
     """Return cones (N, 2, 4) along curves."""
     curves = scene.geometry(shape)
     assert isinstance(curves, Curves)
@@ -157,7 +143,7 @@ def require_uncut_tubes(scene: Scene, sensor: int, shapes: list[int]) -> None:
 def _require_uncut(scene: Scene, view: CameraView, sensor: int, shapes: list[int]) -> None:
     axis = np.linalg.inv(view.pose[:3, :3])[2]
     for i in shapes:
-        cones = _cones(scene, i)
+        cones = cones_along(scene, i)
         depth = view.depth(cones[..., :3])
         reach = cones[..., 3] * np.linalg.norm(axis)
         for plane in view.clip_depths():
