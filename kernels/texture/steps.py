@@ -18,8 +18,8 @@ from warp_psdr.kernels.structs import Scene, Texture, Triangle
 from warp_psdr.kernels.surface import texcoords_at
 from warp_psdr.kernels.texture.texture import transform_uv
 
-#: Squared slope of a place on a triangle below which it has no lines there.
-FLAT = 1.0e-30
+#: Squared normal of a triangle below which it has no area.
+NO_AREA = 1.0e-36
 
 
 @wp.struct
@@ -55,10 +55,12 @@ def place_of(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.vec2:
 @wp.func
 def place_slopes(scene: Scene, texture: Texture, tri: Triangle, axis: wp.int32) -> wp.vec2:
     """Derivatives of a coordinate of the place by the barycentrics of a triangle."""
-    at = place_of(scene, texture, texcoords_at(scene, tri, 0.0, 0.0))
-    along_u = place_of(scene, texture, texcoords_at(scene, tri, 1.0, 0.0)) - at
-    along_v = place_of(scene, texture, texcoords_at(scene, tri, 0.0, 1.0)) - at
-    return wp.vec2(along_u[axis], along_v[axis])
+    at = texcoords_at(scene, tri, 0.0, 0.0)
+    along_u = texcoords_at(scene, tri, 1.0, 0.0) - at
+    along_v = texcoords_at(scene, tri, 0.0, 1.0) - at
+    row = texture.to_uv + 3 * axis
+    m = cells_of(texture)[axis] * wp.vec2(scene.values[row], scene.values[row + 1])
+    return wp.vec2(wp.dot(m, along_u), wp.dot(m, along_v))
 
 
 @wp.func
@@ -67,7 +69,7 @@ def place_gradient(tri: Triangle, slopes: wp.vec2) -> wp.vec3:
     e1 = tri.p1 - tri.p0
     e2 = tri.p2 - tri.p0
     n = wp.cross(e1, e2)
-    return (slopes[0] * wp.cross(e2, n) + slopes[1] * wp.cross(n, e1)) / wp.max(wp.dot(n, n), FLAT)
+    return (slopes[0] * wp.cross(e2, n) + slopes[1] * wp.cross(n, e1)) / wp.max(wp.dot(n, n), NO_AREA)
 
 
 @wp.func

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import warp_psdr as psdr
-from warp_psdr.topology.texture_steps import world_lines
+from warp_psdr.topology.texture_steps import film_lines, world_lines
 
 from .measure import STANDARD_ERRORS, assert_transposes
 from .scenes import T
@@ -219,3 +219,30 @@ def test_a_line_is_listed_once_wherever_it_runs(cells) -> None:
     points = edges.points.numpy()
     length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1).sum()
     assert length == pytest.approx(4.0)  # three lines of s, one of t
+
+
+def test_a_line_along_a_seam_is_listed_for_what_slides() -> None:
+    """The seam of a cylinder, where a whole number of fields meet."""
+    tube = {"type": "cylinder", "bsdf": {"type": "diffuse", "reflectance": checkers(np.diag([2.0, 0.4, 1.0]))}}
+    scene, params = load(
+        sensor=camera(T.look_at([0, -4, 0.5], [0, 0, 0.5], [0, 0, 1])), tube=tube, sky={"type": "constant"}
+    )
+    carriers = frozenset((0, t) for t in scene.builder.stepped()[0])
+    lines = {seams: film_lines(scene, 0, carriers, seams) for seams in (False, True)}
+    counts = [len(found[0].first.numpy()) - 1 for found in lines.values()]
+    assert 0 < counts[0] < counts[1]
+    params.requires_grad_only("tube.bsdf.reflectance.to_uv")
+    assert psdr.plan(scene, params).boundary is not None
+    params.requires_grad("sensor.to_world")
+    with pytest.raises(ValueError, match=r"along a seam.*in a call of their own"):
+        psdr.plan(scene, params)
+
+
+def test_steps_on_shapes_without_triangles_are_refused_where_they_move() -> None:
+    ball = {"type": "sphere", "exact": True, "bsdf": {"type": "diffuse", "reflectance": checkers()}}
+    scene, params = load(
+        sensor=camera(T.look_at([0, -4, 0.5], [0, 0, 0], [0, 0, 1])), ball=ball, sky={"type": "constant"}
+    )
+    params.requires_grad_only("ball.to_world")
+    with pytest.raises(ValueError, match="not known on shapes without triangles"):
+        psdr.plan(scene, params)

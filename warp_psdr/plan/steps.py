@@ -14,7 +14,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion, seen_steps
 from warp_psdr.scene.layout import TEXCOORDS
-from warp_psdr.topology.texture_steps import too_many
+from warp_psdr.topology.texture_steps import on_seams, too_many
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -37,25 +37,33 @@ def slides(scene: Scene, name: str) -> bool:
 def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) -> str:
     """Say why the boundary term of steps that move cannot be estimated; empty: it can, or none move."""
     moves = motion(scene, names)
-    seen = seen_steps(scene, config, moves)
+    listed = shown = seen_steps(scene, config, moves)
     if has_delta_lobes(config.surfaces.bsdfs) and config.media is None and not config.material_first:
-        seen |= {(i, t) for i, textures in scene.builder.stepped().items() for t in textures}
-    if not seen:
-        return ""
-    shape = min(seen)[0]
-    which = f"a texture of {scene.description.shapes[shape].path!r} has steps, which move"
+        shown |= {(i, t) for i, textures in scene.builder.stepped().items() for t in textures}
     smoother = "use a bilinear bitmap, a trilinear volume or a vertex attribute"
-    if any(scene.builder.textures[t].kind == c.TEXTURE_GRID for _shape, t in seen):
-        return f"{which}, and those of a 'gridvolume' are not known; {smoother}"
-    if not isinstance(method, METHODS):
-        return f"{which}; use boundary.PathSpace(), or {smoother[4:]}"
+    for shape, number in sorted(shown):
+        which = f"a texture of {scene.description.shapes[shape].path!r} has steps, which move"
+        if scene.builder.textures[number].kind == c.TEXTURE_GRID:
+            return f"{which}, and those of a 'gridvolume' are not known; {smoother}"
+        if shape in scene.builder.primitives:
+            return f"{which}, and they are not known on shapes without triangles; {smoother}, or give triangles"
+        if not isinstance(method, METHODS):
+            return f"{which}; use boundary.PathSpace(), or {smoother[4:]}"
     if moves.steps:
+        path = scene.description.shapes[min(moves.steps)[0]].path
         for there, what in (
             (config.material_first, "interior.FilmAntithetic()"),
             (config.media is not None, "participating media"),
             (config.camera in c.METERS, "a sensor without a film"),
         ):
             if there:
-                return f"{which} over the surface, which is not known beside {what}; {smoother}"
-    crowded = too_many(scene, seen)
-    return f"{crowded}; {smoother}" if crowded else ""
+                return f"steps of a texture of {path!r} slide, which is not known beside {what}; {smoother}"
+    crowded = too_many(scene, listed)
+    if crowded:
+        return f"{crowded}; {smoother}"
+    if moves.steps and (moves.camera or moves.shapes) and on_seams(scene, moves.steps):
+        return (
+            f"steps of a texture of {path!r} slide along a seam of its texture coordinates, while shapes or the camera "
+            "move; request these in a call of their own"
+        )
+    return ""

@@ -2,7 +2,8 @@
 
 A texture's *place* is its coordinate in units of its cells (``kernels/texture/steps.py``), linear over a triangle; each
 whole number that a coordinate takes there is a line, from one side of the triangle to another. One that runs along a
-side is listed once, on the triangle above it, where nothing but the texture jumps across that side.
+side is listed once, on the triangle above it, where nothing but the texture jumps across that side. Along a seam of
+texture coordinates the side is an edge of its own, which moves; there a line is listed for what slides.
 """
 
 from __future__ import annotations
@@ -29,15 +30,15 @@ Carriers = frozenset[tuple[int, int]]
 MOST = 1 << 21
 
 
-def film_lines(scene: Scene, sensor: int, carriers: Carriers) -> tuple[Edges, float] | None:
+def film_lines(scene: Scene, sensor: int, carriers: Carriers, seams: bool) -> tuple[Edges, float] | None:
     """Return the lines that a camera may see, drawn by the clipped length of their image; None: none.
 
-    Second is that length, in pixels.
+    Second is that length, in pixels. ``seams``: with those along seams of texture coordinates.
 
     Raises:
         ValueError: there are too many lines.
     """
-    lines = _lines(scene, carriers)
+    lines = _lines(scene, carriers, seams)
     low, high, length = camera_view(scene, sensor).clip(lines.points)
     keep = np.flatnonzero(length > 0.0)
     if not len(keep):
@@ -51,7 +52,7 @@ def world_lines(scene: Scene, carriers: Carriers) -> Edges | None:
     Raises:
         ValueError: there are too many lines.
     """
-    lines = _lines(scene, carriers)
+    lines = _lines(scene, carriers, True)
     n = len(lines.length)
     return upload(scene, lines, np.arange(n), lines.length, np.zeros(n), np.ones(n)) if n else None
 
@@ -69,16 +70,21 @@ def too_many(scene: Scene, carriers: Carriers) -> str:
     return ""
 
 
-def _lines(scene: Scene, carriers: Carriers) -> Adjacency:
+def on_seams(scene: Scene, carriers: Carriers) -> bool:
+    """Whether some lines run along seams of texture coordinates."""
+    return len(_lines(scene, carriers, True).length) > len(_lines(scene, carriers, False).length)
+
+
+def _lines(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
     """Return the lines of some textures on some shapes as edges of one face; kept until they change."""
     edges = scene_adjacency(scene)
-    key = (carriers, *_read(scene, carriers))
+    key = (carriers, seams, *_read(scene, carriers))
     kept = getattr(scene, "_texture_lines", None)
     if kept is not None and kept[0] is edges and kept[1] == key:
         return kept[2]
     if too_many(scene, carriers):
         raise ValueError(f"{too_many(scene, carriers)}; use bilinear bitmaps, or fewer cells")
-    parts = [_lines_of(scene, carrier) for carrier in sorted(carriers)]
+    parts = [_lines_of(scene, carrier, seams) for carrier in sorted(carriers)]
     faces, ends, twins, points = (np.concatenate([part[k] for part in parts]) for k in range(4))
     n = len(faces)
     found = Adjacency(
@@ -127,7 +133,9 @@ def _texcoords(flat: np.ndarray, shape: Shape, corners: np.ndarray) -> np.ndarra
     return np.stack([flat[at], flat[at + 1]], axis=2).astype(np.float64)
 
 
-def _lines_of(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _lines_of(
+    scene: Scene, carrier: tuple[int, int], seams: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Return the lines of a texture on a shape: faces, ends, twins, points (``kernels/boundary/local_form.Edges``)."""
     faces, place = _places(scene, carrier)
     corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
@@ -154,16 +162,16 @@ def _lines_of(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.nd
             met[rows] += 1
         keep = (met == 2) & (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.0)
         add(axis, face[keep], ends[keep])
-        beside, alone = _along_sides(scene, faces, s)
+        beside, alone = _along_sides(scene, faces, s, seams)
         add(axis, beside, np.stack([corners[beside, (alone + 1) % 3], corners[beside, (alone + 2) % 3]], axis=1))
     faces_of, ends_of, twins_of, points_of = (np.concatenate([part[k] for part in found]) for k in range(4))
     return faces_of, ends_of, twins_of, points_of
 
 
-def _along_sides(scene: Scene, faces: np.ndarray, s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _along_sides(scene: Scene, faces: np.ndarray, s: np.ndarray, seams: bool) -> tuple[np.ndarray, np.ndarray]:
     """Return which faces have a line along a side below them, and the corner opposite of it.
 
-    Across the side nothing but the texture may jump.
+    Across the side nothing but the texture may jump, or (``seams``) it is a seam with a line along either side.
     """
     low = s.min(axis=1)
     on = s == low[:, None]
@@ -174,4 +182,13 @@ def _along_sides(scene: Scene, faces: np.ndarray, s: np.ndarray) -> tuple[np.nda
     edges = scene_adjacency(scene)
     side = face_edges(scene, edges)[faces[own], alone]
     keep = (side >= 0) & smooth_edges(scene, edges)[side]
+    if seams:
+        high = s.max(axis=1)
+        ends_above = ((s == high[:, None]).sum(axis=1) == 2) & (high == np.floor(high))
+        above = np.zeros(scene.face_count, bool)
+        above[faces] = ends_above
+        first = edges.first[:-1][side]
+        other = edges.faces[first] + edges.faces[np.minimum(first + 1, len(edges.faces) - 1)] - faces[own]
+        seam = (edges.count[side] == 2) & (edges.ends[side] != edges.twins[side]).any(axis=1)
+        keep |= (side >= 0) & seam & above[np.where(seam, other, 0)]
     return own[keep], alone[keep]

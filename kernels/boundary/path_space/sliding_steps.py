@@ -33,7 +33,7 @@ from warp_psdr.kernels.visibility import visibility_of
 def make_step_jump(config: PathConfig):
     """Return ``jump(scene, sampler, segment, k, max_depth, rr_depth) -> Incident``: L_+ - L_-, of common numbers.
 
-    ``segment.boundary_normal`` is the unit vector across the line, ``segment.step`` the distance of the two rays.
+    ``segment.boundary_normal`` is the unit vector across the line, ``segment.step`` how far either ray passes from it.
     """
     incident = make_incident(config)
 

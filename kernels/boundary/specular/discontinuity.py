@@ -200,7 +200,8 @@ def make_crossing(config: PathConfig):
             a_x = point_differential(scene, p, x, d, a)
             b_x = point_differential(scene, p, x, d, b)
             if wp.static(config.surfaces.steps):
-                if (i > 0 or block.first == 1) and scene.triangles[p.face].shape == scene.triangles[q.face].shape:
+                meshes = not is_primitive_at(scene, p.face) and not is_primitive_at(scene, q.face)
+                if meshes and (i > 0 or block.first == 1):
                     step = line_beside(scene, tables.steps, p.face, p.u, p.v, STEP_REACH * scene.ray_epsilon)
                     if step.texture >= 0:
                         r.edge = 4

@@ -22,7 +22,8 @@ LEAST_SHARE = 0.125
 def launch_seen(r: Request) -> Term | None:
     """Return the term of the steps that the camera sees move."""
     carriers = frozenset() if r.config.shown else seen_steps(r.scene, r.config, r.moves)
-    found = film_lines(r.scene, r.sensor, carriers) if carriers else None
+    seams = not (r.moves.camera or r.moves.shapes)  # else they are edges that move
+    found = film_lines(r.scene, r.sensor, carriers, seams) if carriers else None
     if found is None:
         return None
     edges, length = found
