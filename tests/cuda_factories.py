@@ -265,6 +265,14 @@ FACTORIES = {
         ("forward", (MEDIA, "forward", True, False, False), SLOW),
         ("grids", (GRIDS, "reverse", True, False, True, True), SLOW),
     ],
+    "boundary.shading_normals.media_indirect_terminator.make_media_indirect_terminator_kernel": [
+        ("reverse", (MEDIA, "reverse", True, False), SLOW),
+        ("forward, grids", (GRIDS, "forward", False, True), SLOW),
+    ],
+    "boundary.shading_normals.media_horizon.make_media_horizon_kernel": [
+        ("reverse", (MEDIA, "reverse", True, False), SLOW),
+        ("forward, grids", (GRIDS, "forward", False, True), SLOW),
+    ],
     "transfer.radiative_transfer.make_transfer_kernel": [
         ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4, True), SLOW),
         ("forward, no edges", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4, False), SLOW),

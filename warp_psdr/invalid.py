@@ -65,6 +65,7 @@ KINDS = (
     "vertex_crossing",
     "indirect_terminator",
     "geometric_horizon",
+    "media_horizon",
     "edge_sampling",
     "media_edge_sampling",
     "hard_shadows",

@@ -92,11 +92,11 @@ def make_end_radiance(lights: LightConfig):
 
 
 @functools.cache
-def make_media_incident(config: PathConfig):
+def make_media_incident(config: PathConfig, whole: bool = False):
     """Return ``media_incident(scene, sampler, medium, o, d, depth, max_depth, rr_depth) -> Incident``.
 
-    As ``detector.make_incident``, but without what the first surface that is there, or the environment, sends unless
-    the path has turned in front of it.
+    As ``detector.make_incident``, but without what the first surface that is there, or the environment, emits unless
+    the path has turned in front of it. ``whole``: with that.
     """
     media_step = make_media_step(config, False)
     emitted = make_interaction(config.surfaces, config.lights).emitted
@@ -134,7 +134,7 @@ def make_media_incident(config: PathConfig):
                     if wp.static(emitted is not None):
                         shines = emitted(scene, vertex.face, vertex.u, vertex.v, vertex.d)
                         own = vertex.e_weight * wp.cw_mul(vertex.throughput, shines)
-            if not turned:
+            if wp.static(not whole) and not turned:
                 value -= own
                 own = wp.vec3(0.0, 0.0, 0.0)
             turned = turned or step.collides or vertex.lobe != LOBE_NULL

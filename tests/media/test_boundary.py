@@ -232,7 +232,6 @@ def test_guided_equals_unguided(method):
     [
         ({}, {"boundary": psdr.boundary.PathSpace(guiding=psdr.guiding.Grid())}, r"use guiding\.KdTree"),
         ({}, {"hide_emitters": True}, "show the lights"),
-        ({"ball": {"type": "sphere", "to_world": T.translate([0, 0, -3])}}, {}, "give face_normals"),
         ({"shelf": square(0.3, 0.4)}, {}, "move them apart"),
         (
             {"smoke": cube(grids(grid(puffs(4), filter_type="nearest")), translate=(9, 9, 9))},
@@ -240,7 +239,7 @@ def test_guided_equals_unguided(method):
             "make its filter 'trilinear'",
         ),
     ],
-    ids=["guiding", "hidden", "normals", "pierced", "grid"],
+    ids=["guiding", "hidden", "pierced", "grid"],
 )
 def test_what_is_not_estimated_is_refused(parts, integrator, words):
     scene = curtain(**LIGHTS["area"], **parts)

@@ -100,13 +100,13 @@ def _pierced(asked: Asked) -> str:
 FILMS_AND_SHAPES = ("slides", "material_points", "transient")
 FLAT = "give the meshes that move, and those beside them, face_normals"
 TERMINATOR = Discontinuity(
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
     applies=lambda asked: asked.config.scatter,
     find=_turned_from_camera,
     instead=FLAT,
 )
 INDIRECT_TERMINATOR = Discontinuity(
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
     applies=lambda asked: (
         (asked.vertex_motion.edges or bool(asked.moves.normals))
         and not 0 <= asked.max_depth <= 2
@@ -117,7 +117,7 @@ INDIRECT_TERMINATOR = Discontinuity(
     instead=FLAT,
 )
 GEOMETRIC_HORIZON = Discontinuity(
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
     applies=lambda asked: (
         asked.max_depth != 1 and bool(asked.moves.shapes) and asked.scatters_smoothly and asked.meets_light
     ),

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import models_of
 from warp_psdr.kernels.bsdf.null import NULL
@@ -12,7 +14,7 @@ from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.topology.absent import absent_shapes
+from warp_psdr.topology.absent import absent_faces
 from warp_psdr.topology.edges_there import edges_there, pierced
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
@@ -140,16 +142,11 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
     if config.media is None:
         return ""
     moves = motion(scene, names)
-    absent = absent_shapes(scene)
-    bent = [
-        shape.path
-        for i, shape in enumerate(scene.description.shapes)
-        if not absent[i]
-        and (moves.camera or moves.light_pose or i in moves.shapes | moves.normals)
-        and interpolated_faces(scene)[scene.builder.face_shape == i].any()
-    ]
-    if bent:
-        return f"beside media interpolated normals are not known, as {bent[0]!r} has; give face_normals"
+    if config.media.emissive:
+        bent = interpolated_faces(scene) & ~absent_faces(scene)
+        if bent.any():
+            shape = scene.description.shapes[scene.builder.face_shape[np.flatnonzero(bent)[0]]]
+            return f"media that emit light do not know interpolated normals, as {shape.path!r} has; give face_normals"
     met = pierced(scene, set(moves.shapes))
     return f"{met}, along a curve that moves; move them apart, by a little" if met else ""
 

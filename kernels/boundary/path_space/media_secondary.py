@@ -13,34 +13,48 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.coincident import edge_share, pass_together
-from warp_psdr.kernels.boundary.detector import Incident, radiance_behind, serves_length
+from warp_psdr.kernels.boundary.coincident import edge_share
+from warp_psdr.kernels.boundary.detector import Incident
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
 from warp_psdr.kernels.boundary.media_radiance import make_end_radiance, make_media_incident
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
-from warp_psdr.kernels.boundary.path_space.media_ride import make_media_ride
-from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk, Sight, make_media_walk
+from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink, moves
-from warp_psdr.kernels.boundary.transport import SLOT_LENS, Segment
+from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import exp_minus
-from warp_psdr.kernels.medium.line import AHEAD, SIGHT, ClearLine, make_line
+from warp_psdr.kernels.medium.line import AHEAD, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.sggx import make_extinction_along
-from warp_psdr.kernels.rng import Sampler, branch_of, make_sampler, sampler_at
-from warp_psdr.kernels.sensor.camera import make_lens
-from warp_psdr.kernels.sensor.projection import make_splat
+from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 
-#: Vertices of a walk that reverse mode keeps; those behind are drawn a second time.
-KEPT = wp.constant(4)
+
+@functools.cache
+def make_media_source(config: PathConfig):
+    """Return ``source(scene, sampler, segment, medium, k, max_depth, rr_depth) -> Incident``, less what x_2 emits."""
+    media_incident = make_media_incident(config)
+
+    @wp.func
+    def source(
+        scene: Scene,
+        sampler: Sampler,
+        s: Segment,
+        medium: wp.int32,
+        k: wp.int32,
+        max_depth: wp.int32,
+        rr_depth: wp.int32,
+    ) -> Incident:
+        return media_incident(scene, sampler, medium, s.source, s.w, k, max_depth, rr_depth)
+
+    return source
 
 
 @functools.cache
@@ -161,19 +175,20 @@ def make_media_secondary_kernel(
     emissive = config.media is not None and config.media.emissive
     traces = deep or emissive
     segment_at = make_media_segment(config, traces)
-    first_vertex, sight_of, extend = make_media_walk(config)
-    by_camera, by_surface = (None, None) if evaluates else make_media_ride(config, role, camera_moves, grids_move)
-    media_incident = make_media_incident(config) if traces else None
+    first_vertex, transport = make_media_transport(
+        config,
+        role,
+        camera_moves,
+        grids_move,
+        make_media_source(config) if traces else None,
+        deep=deep,
+        ends=0 if emissive else 3,
+    )
     accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
-    splat, gather = make_splat()
-    lens_point = make_lens(config.camera)
     sample_aim, density, place = make_techniques(config.lights, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
-    sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
-    forward = role == "forward"
-    twice = role == "reverse"
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_secondary(
@@ -239,108 +254,16 @@ def make_media_secondary_kernel(
             scale = s.scale * wp.length(s.boundary_normal) * wp.length(point.p1 - point.p0) / (point.pdf * pdf)
         else:
             scale = s.scale * wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
-        lens = lens_point(sample_2d(sampler, SLOT_LENS))
-        incident = Incident()
-        total = wp.float32(0.0)  # the sum of the w_k
-        later = wp.float32(0.0)  # of those behind the k-th vertex
-        dropped = wp.float32(0.0)
-        speed = wp.float32(0.0)  # of all but what the camera sees
-        if wp.static(forward):
-            speed = accumulate_segment(scene, target, edges, point, s, 1.0)
-        # In reverse mode twice: once for the sum of the w_k, once to scatter. The first vertices are kept.
-        sweep = wp.int32(wp.static(1 if forward or evaluates else 0))
-        if wp.static(twice):
-            walks = wp.zeros(shape=(KEPT,), dtype=MediaWalk)
-            sights = wp.zeros(shape=(KEPT,), dtype=Sight)
-            values = wp.zeros(shape=(KEPT,), dtype=wp.float32)
-        while sweep < 2:
-            walk = first
-            g = (s.tau - 1.0) * s.boundary_normal
-            k = wp.int32(1)
-            while walk.alive == 1:
-                seen = Sight()
-                w = wp.float32(0.0)
-                counts = wp.bool(True)
-                if wp.static(twice):
-                    if sweep == 1 and k <= KEPT:
-                        seen = sights[k - 1]
-                        w = values[k - 1]
-                        counts = wp.bool(False)
-                        if w != 0.0:
-                            dropped += by_camera(scene, camera, target, walk, seen, w * g)
-                if counts:
-                    seen = sight_of(scene, camera, sampler, SIGHT + k, walk, lens)
-                    counts = not vanishes(seen.weight)
-                if counts and k == 1 and s.light >= 0:
-                    counts = not pass_together(seen.at.origin - walk.x, s.w, s.t1, s.step)
-                asked = wp.vec3(0.0, 0.0, 0.0)
-                if wp.static(not forward and not evaluates):
-                    if counts:
-                        asked = gather(camera, seen.at.pixel, job.image_adjoint)
-                        counts = wp.max(wp.abs(asked)) > 0.0
-                if counts:
-                    radiance = sent
-                    if wp.static(traces):
-                        if s.light < 0 and (wp.static(emissive) or job.max_depth < 0 or k + 2 <= job.max_depth):
-                            if incident.first > k or not serves_length(incident, k):
-                                o = s.x - (s.t1 - beyond) * s.w
-                                branch = branch_of(sampler, k)
-                                incident = media_incident(
-                                    scene, branch, first.medium, o, s.w, k, job.max_depth, job.rr_depth
-                                )
-                            radiance += radiance_behind(incident, k)
-                    value = scale * wp.cw_mul(seen.weight, radiance)
-                    if wp.static(evaluates):
-                        total += value[0] + value[1] + value[2]
-                    elif wp.static(forward):
-                        v = speed + by_camera(scene, camera, target, walk, seen, g)
-                        splat(scene, sampler, camera, seen.at.pixel, v * value, image_out)
-                    else:
-                        w = wp.dot(asked, value)
-                        if sweep == 0:
-                            total += w
-                        elif w != 0.0:
-                            dropped += by_camera(scene, camera, target, walk, seen, w * g)
-                if wp.static(twice):
-                    if sweep == 0 and k <= KEPT:
-                        sights[k - 1] = seen
-                        values[k - 1] = w
-                later -= w
-                if wp.static(deep):
-                    after = MediaWalk()
-                    kept = wp.bool(False)
-                    if wp.static(twice):
-                        if sweep == 1 and k < KEPT:
-                            kept = wp.bool(True)
-                            after = walks[k]
-                    if not kept and (job.max_depth < 0 or k + 2 <= job.max_depth):
-                        after = extend(scene, sampler, walk, eye, k, k >= job.rr_depth)
-                    if wp.static(twice):
-                        if sweep == 0 and k < KEPT:
-                            walks[k] = after
-                    if wp.static(not evaluates):
-                        if after.alive == 1 and sweep == 1 and not vanishes(g):
-                            weight = wp.float32(1.0)
-                            if wp.static(not forward):
-                                weight = later
-                            if weight != 0.0:
-                                a_y, dot = by_surface(scene, target, walk, after, weight * g)
-                                g = a_y / weight
-                                if wp.static(forward):
-                                    speed += dot
-                                else:
-                                    dropped += dot
-                    walk = after
-                else:
-                    walk.alive = 0
-                k += 1
-            later = total
-            sweep += 1
-            if total == 0.0:
-                sweep = 2
+        s.source = s.x - (s.t1 - beyond) * s.w
+        rest = wp.float32(0.0)
+        if wp.static(role == "forward"):
+            rest = accumulate_segment(scene, target, edges, point, s, 1.0)
+        total, dropped = transport(
+            scene, camera, sampler, s, first, first.medium, eye, scale, sent, rest, job, target, image_out
+        )
         if wp.static(evaluates):
             target[number] = total
-        elif wp.static(not forward):
+        elif wp.static(role == "reverse"):
             if total != 0.0:
                 dropped += accumulate_segment(scene, target, edges, point, s, total)
                 if dropped != 0.0:

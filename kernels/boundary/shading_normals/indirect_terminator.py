@@ -57,16 +57,9 @@ def make_jump(config: PathConfig):
 
 
 @functools.cache
-def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``).
-
-    ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
-    """
-    visibility = visibility_of(config.rays, config.surfaces.primitives)
-    surface_at = make_interaction(config.surfaces, config.lights).surface
+def make_turned_sink(config: PathConfig, role: str):
+    """Return ``accumulate_terminator(scene, target, segment, w) -> float``, for x_2 and its normal."""
     accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)
-    transport = make_transport(config, role, camera_moves, make_jump(config), 2)
-    sample_4d = make_sampler(config.sampler).sample_4d
 
     @wp.func
     def accumulate_terminator(
@@ -78,6 +71,72 @@ def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves:
         vertex.n = -w * s.w
         accumulated = accumulate_vertex(scene, target, s.face2, s.u2, s.v2, vertex, False, s.x, s.w)
         return accumulated.dot
+
+    return accumulate_terminator
+
+
+@functools.cache
+def make_turned_segment(config: PathConfig):
+    """Return ``turned_segment(scene, face_cdf, faces, number, samples, sampler) -> (Segment, vec3, float32)``.
+
+    A point x = x_2 of the triangles ``faces`` and a direction w in the plane perpendicular to its normal; where the ray
+    to x_1, along -w, starts; and the sample's weight. The boundary normal is not yet divided by the distance of x_1.
+    """
+    surface_at = make_interaction(config.surfaces, config.lights).surface
+    sample_4d = make_sampler(config.sampler).sample_4d
+
+    @wp.func
+    def turned_segment(
+        scene: Scene,
+        face_cdf: wp.array(dtype=wp.float32),
+        faces: wp.array(dtype=wp.int32),
+        number: wp.int32,
+        samples: wp.int32,
+        sampler: Sampler,
+    ) -> tuple[Segment, wp.vec3, wp.float32]:
+        u4 = sample_4d(sampler, 0)
+        face, probability = stratified_entry(face_cdf, faces, number, samples, u4[0])
+        s = Segment()
+        s.light = -1
+        s.face2 = face
+        uv = square_to_triangle(wp.vec2(u4[1], u4[2]))
+        s.u2 = uv[0]
+        s.v2 = uv[1]
+        surface = surface_at(scene, s.face2, s.u2, s.v2)
+        across = surface.ng - wp.dot(surface.ng, surface.n) * surface.n
+        sine = wp.length(across)
+        if sine < FLAT:
+            return s, s.x, 0.0
+        across = across / sine
+        # theta: its sine is uniform, its cosine has either sign.
+        half = wp.where(u4[3] < 0.5, 0.0, 1.0)
+        b = 4.0 * u4[3] - 2.0 * half - 1.0
+        a = (1.0 - 2.0 * half) * wp.sqrt(1.0 - b * b)
+        out = a * across + b * wp.cross(surface.n, across)
+        s.x = surface.x
+        s.w = -out
+        away = leaving_step(scene, s.face2)
+        turn = (1.0 - 2.0 * half) * away
+        s.boundary_normal = -1.0 * surface.n
+        s.valid = 1
+        tri = scene.triangles[s.face2]
+        area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
+        # |n_g . w| / pdf_theta = 4 sin(alpha)
+        return s, s.x + turn * surface.ng, 4.0 * sine * area / (probability * wp.float32(samples))
+
+    return turned_segment
+
+
+@functools.cache
+def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``).
+
+    ``faces`` are the triangles whose normals bend, ``face_cdf`` their cumulative probabilities.
+    """
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    turned_segment = make_turned_segment(config)
+    accumulate_terminator = make_turned_sink(config, role)
+    transport = make_transport(config, role, camera_moves, make_jump(config), 2)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def indirect_terminator(
@@ -95,44 +154,21 @@ def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
-        u4 = sample_4d(sampler, 0)
-        face, probability = stratified_entry(face_cdf, faces, number, job.samples, u4[0])
-        s = Segment()
-        s.light = -1
-        s.face2 = face
-        uv = square_to_triangle(wp.vec2(u4[1], u4[2]))
-        s.u2 = uv[0]
-        s.v2 = uv[1]
-        surface = surface_at(scene, s.face2, s.u2, s.v2)
-        across = surface.ng - wp.dot(surface.ng, surface.n) * surface.n
-        sine = wp.length(across)
-        if sine < FLAT:
+        s, start, scale = turned_segment(scene, face_cdf, faces, number, job.samples, sampler)
+        if s.valid == 0:
             return
-        across = across / sine
-        # theta: its sine is uniform, its cosine has either sign.
-        half = wp.where(u4[3] < 0.5, 0.0, 1.0)
-        b = 4.0 * u4[3] - 2.0 * half - 1.0
-        a = (1.0 - 2.0 * half) * wp.sqrt(1.0 - b * b)
-        out = a * across + b * wp.cross(surface.n, across)
-        s.x = surface.x
-        s.w = -out
-        away = leaving_step(scene, s.face2)
-        turn = (1.0 - 2.0 * half) * away
-        hit = visibility.closest(scene, s.x + turn * surface.ng, out, FAR)
-        if hit.face < 0 or hit.t <= away:
+        out = -s.w
+        hit = visibility.closest(scene, start, out, FAR)
+        if hit.face < 0 or hit.t <= leaving_step(scene, s.face2):
             return
         s.t1 = hit.t
-        s.boundary_normal = (-1.0 / s.t1) * surface.n
+        s.boundary_normal = (1.0 / s.t1) * s.boundary_normal
         s.face1 = hit.face
         s.u1 = hit.u
         s.v1 = hit.v
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate_terminator(scene, target, s, 1.0)
-        tri = scene.triangles[s.face2]
-        area = 0.5 * wp.length(wp.cross(tri.p1 - tri.p0, tri.p2 - tri.p0))
-        # |n_g . w| / pdf_theta = 4 sin(alpha)
-        scale = 4.0 * sine * area / (probability * wp.float32(job.samples))
         weight = transport(scene, camera, sampler, s, scale, rest, job, target, image_out)
         if wp.static(role == "reverse"):
             if weight != 0.0:

@@ -14,10 +14,12 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
+from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
+from warp_psdr.kernels.medium.line import BEFORE, make_line
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.reading import load_vec3
@@ -55,7 +57,10 @@ def barycentrics(axis: wp.int32, w: wp.float32, r: wp.float32) -> wp.vec3:
 def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     visibility = visibility_of(config.rays, config.surfaces.primitives)
-    incident_radiance = make_incident_radiance(config)
+    among_media = config.media is not None
+    media_radiance = make_media_radiance(config) if among_media else None
+    line = make_line(config)[0] if among_media else None
+    incident_radiance = None if among_media else make_incident_radiance(config)
     accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
     splat, gather = make_splat()
@@ -147,7 +152,17 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                     start = x + wp.where(cosine >= 0.0, away, -away) * tri.normal
                     back = at.origin - start
                     length = wp.length(back)
-                    hidden = visibility.hidden_from_camera(scene, start, back / length, length - at.near)
+                    if wp.static(among_media):
+                        ray = -back / length
+                        way = length - at.near
+                        ahead = wp.min(AHEAD * passing_step(scene, face), wp.max(way, 0.0))
+                        before = line(
+                            scene, sampler, BEFORE, at.origin + at.near * ray, ray, way - ahead, camera.medium, 0
+                        )
+                        # Up to where both rays start: beyond it the transmittance is theirs.
+                        hidden = way <= 0.0 or before.face >= 0 or before.lost
+                    else:
+                        hidden = visibility.hidden_from_camera(scene, start, back / length, length - at.near)
                     weight = wp.vec3(1.0, 1.0, 1.0)
                     if wp.static(role == "reverse"):
                         weight = gather(camera, at.pixel, job.image_adjoint)
@@ -166,11 +181,27 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
                             sign = 1.0 - 2.0 * wp.float32(side)
                             near_x = x + sign * step + ahead * view
                             far = at.far - distance
-                            seen = incident_radiance(scene, branch, near_x, -view, far, 0, job.max_depth, job.rr_depth)
+                            if wp.static(among_media):
+                                seen = media_radiance(
+                                    scene,
+                                    branch,
+                                    before.medium,
+                                    near_x,
+                                    -view,
+                                    far + ahead,
+                                    job.max_depth,
+                                    job.rr_depth,
+                                )
+                            else:
+                                seen = incident_radiance(
+                                    scene, branch, near_x, -view, far, 0, job.max_depth, job.rr_depth
+                                )
                             jump += sign * seen.radiance
                             own = own and seen.face >= 0 and on_plane(tri.normal, seen.x - x, local)
                         if not own:
                             continue
+                        if wp.static(among_media):
+                            jump = wp.cw_mul(before.transmittance, jump)
                         g = 3.0 * size * area / (speed_sum * probability * wp.float32(job.samples))
                         if wp.static(role == "reverse"):
                             g *= wp.dot(weight, jump)

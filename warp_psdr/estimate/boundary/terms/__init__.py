@@ -89,6 +89,7 @@ ALL: tuple[BoundaryTerm, ...] = (
     vertex_crossing.TERM,
     indirect_terminator.TERM,
     geometric_horizon.TERM,
+    geometric_horizon.IN_MEDIA,
     through_mirrors.TERM,
     *texture_steps.TERMS.values(),
     path_warped_area.TERM,

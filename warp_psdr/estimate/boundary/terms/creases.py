@@ -37,5 +37,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch,
     applies=applies,
-    knows=words("material_points", "slides", "transient"),
+    knows=words("material_points", "slides", "media", "transient"),
 )

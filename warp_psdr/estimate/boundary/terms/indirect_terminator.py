@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import make_indirect_terminator_kernel
+from warp_psdr.kernels.boundary.shading_normals.media_indirect_terminator import (
+    make_media_indirect_terminator_kernel,
+)
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
 from warp_psdr.plan.discontinuities import INDIRECT_TERMINATOR
 from warp_psdr.topology.interpolated_normals import interpolated_choice
@@ -20,7 +23,10 @@ def launch(r: Request) -> Term | None:
     if found is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_indirect_terminator_kernel(r.config, r.role, r.moves.camera)
+    if r.config.media is None:
+        kernel = make_indirect_terminator_kernel(r.config, r.role, r.moves.camera)
+    else:
+        kernel = make_media_indirect_terminator_kernel(r.config, r.role, r.moves.camera, r.moves.grids)
     return term_of(r, TERM, kernel, [r.scene.data(), r.camera, *found[:2]], samples)
 
 
