@@ -44,9 +44,9 @@ def moved(scene, params, name, value, integrator, spp, seed):
     return result
 
 
-def assert_slope(scene, params, name, tangent, step, depth=2, spp=512, difference_spp=2048, method="auto"):
+def assert_slope(scene, params, name, tangent, step, depth=2, spp=512, difference_spp=2048, **options):
     """Regress batches of derivatives on a difference; the weights have random numbers of their own."""
-    integrator = psdr.PathIntegrator(max_depth=depth, boundary=method)
+    integrator = psdr.PathIntegrator(max_depth=depth, **options)
     base = params[name].numpy().astype(np.float64)
 
     def difference(seed):
@@ -129,7 +129,7 @@ def test_light_of_the_frame_between_surfaces(method) -> None:
     box = {"type": "cube", "to_world": T.translate([0.4, 0.5, 0.3]) @ T.scale(0.2)}
     scene, params = lit(IMAGE, wall={"type": "rectangle", "to_world": wall}, box=box)
     tangent = turn(params["lamp.to_world"], 0.3, 0.5, 1.0)
-    assert_slope(scene, params, "lamp.to_world", tangent, 0.01, depth=3, method=method)
+    assert_slope(scene, params, "lamp.to_world", tangent, 0.01, depth=3, boundary=method)
 
 
 @pytest.mark.slow

@@ -53,6 +53,14 @@ def test_a_point_light_shines_through_stacked_masks(opacities):
     np.testing.assert_allclose(image.mean(axis=(0, 1)), FLOOR * passed, rtol=ROUNDING)
 
 
+@pytest.mark.parametrize("opacities", [(), (0.3,)], ids=str)
+def test_without_caustics_masks_hide_a_point_light(opacities):
+    """As in Mitsuba's ``path``."""
+    integrator = psdr.PathIntegrator(max_depth=4, caustics=False)
+    image = psdr.render(lit(*opacities), integrator=integrator, spp=4).numpy()
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), 0.0 * FLOOR if opacities else FLOOR, rtol=ROUNDING)
+
+
 @pytest.mark.slow
 def test_an_area_light_shines_through_masks():
     plain, through = (batches(lit(*o, area=True), spp=64, max_depth=4).mean(axis=(1, 2)) for o in ((), (0.3, 0.6)))

@@ -135,3 +135,15 @@ def test_what_moves_beside_a_null_lobe_is_refused_by_name(bsdf: dict, light: dic
     # What moves nothing is not.
     params.requires_grad_only("card.bsdf.reflectance.value")
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=3)).config.through
+
+
+@pytest.mark.parametrize("name", ["card.to_world", "lamp.position", "camera.to_world"])
+def test_what_moves_beside_a_null_lobe_is_taken_where_its_light_is_left_out(name: str) -> None:
+    veil = {"type": "rectangle", "to_world": psdr.Transform.translate([0, 0, 0.1]), "bsdf": {"type": "null"}}
+    scene = scene_with(veil=veil, lamp={"type": "point"})
+    plan = psdr.plan(scene, names=[name], integrator=psdr.PathIntegrator(max_depth=3, caustics=False))
+    assert plan.discontinuities and not plan.config.through
+    assert "caustics=False leaves out" in str(plan)
+    # Paths find the light of lamps with an area: shadow rays pass.
+    area = scene_with(veil=veil, lamp={"type": "rectangle", "emitter": {"type": "area"}})
+    assert psdr.plan(area, names=[], integrator=psdr.PathIntegrator(max_depth=3, caustics=False)).config.through

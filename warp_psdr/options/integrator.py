@@ -31,8 +31,8 @@ class PathIntegrator:
         caustics: whether light paths join those of the camera, for light of lights of no area that mirrors or glass
             turn, which no path from the camera finds: in images, and in derivatives by what ``LightTracing()``
             differentiates, what moves vertices with ``boundary=None`` alone. "auto": with ``interior="auto"``, where
-            all that such a light sends meets mirrors or glass first. False: that light is left out, as by Mitsuba's
-            ``path``.
+            all that such a light sends meets mirrors or glass first. False: that light is left out, and what lights of
+            no area send through masks, thin glass and ``null``, as by Mitsuba's ``path``.
         boundary: method of the boundary term; "auto": ``PathSpace()``, whose shadow edges are guided once gradients of
             a scene have cost what a pilot's kernels do, if it says that it pays; None: left out on purpose (the
             gradient then misses moving discontinuities). ``psdr.guiding.set_automatic`` and ``reset`` serve both.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_smooth_lobes, models_of
+from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, has_smooth_lobes, models_of
 from warp_psdr.kernels.constants import (
     CAMERA_IRRADIANCEMETER,
     DELTA_LIGHTS,
@@ -165,6 +165,19 @@ def refused_while_vertices_move(
         if edge:
             return f"does not move {light.path!r}: {edge}"
     return ""
+
+
+def shadow_rays_pass(
+    scene: Scene, integrator: PathIntegrator, models: tuple[str, ...], lights: tuple[int, ...]
+) -> bool:
+    """Whether shadow rays pass surfaces by their null lobes.
+
+    ``caustics=False`` leaves out what lights of no area send through them, as it does with mirrors and glass; of other
+    lights paths find it. Media are bounded by such surfaces, and paths from lights pass them.
+    """
+    from_lights = isinstance(integrator.interior, interior.FROM_LIGHTS)
+    dark = integrator.caustics is False and not scene.builder.media and not from_lights
+    return has_null_lobes(models) and not (dark and DELTA_LIGHTS & set(lights))
 
 
 def left_out(config: PathConfig) -> list[tuple[str, str, str]]:

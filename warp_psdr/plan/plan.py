@@ -20,7 +20,7 @@ from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import choice, guiding, long_chains, media, needs, primitives, properties, steps, transient
 from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
-from warp_psdr.plan.light import joined, passes
+from warp_psdr.plan.light import joined, passes, shadow_rays_pass
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
@@ -152,12 +152,14 @@ def decide(
             config = replace(
                 config, surfaces=replace(config.surfaces, bsdfs=tuple(map(explored, config.surfaces.bsdfs)))
             )
-    if config.through and config.media is None and wanted is not None and (wanted.geometry or moving):
+    passed = config.through
+    if passed and config.media is None and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
         _check_lights(scene, names)
         config = replace(config, through=False)
     if has_null_lobes(config.surfaces.bsdfs):
-        said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", "vertices move")
+        ends = "vertices move" if passed else "caustics=False leaves out light of lights of no area behind them"
+        said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", ends)
         lines.append(("shadow rays", *said))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
     if still and not config.shown and config.surfaces.smooth and scene.shades_flat:
@@ -360,7 +362,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         sampler=sampler,
         filter=camera.filter,
         camera=camera.kind,
-        through=scatter and has_null_lobes(models),
+        through=scatter and shadow_rays_pass(scene, integrator, models, lights),
         media=None if integrator.shown else b.media_config,
         pulse=transient.pulse_of(times),
         shown=integrator.shown,
@@ -381,7 +383,8 @@ def _check_lights(scene: Scene, names: list[str]) -> None:
     raise ValueError(
         f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
         f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
-        "light, or request what moves nothing (materials, textures, radiances) in a call of its own"
+        "light, or say PathIntegrator(caustics=False), which leaves this light out of images and derivatives alike, or "
+        "request what moves nothing (materials, textures, radiances) in a call of its own"
     )
 
 
