@@ -15,7 +15,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor, differentiable
-from warp_psdr.kernels.constants import PI, TEXTURE_BITMAP, TEXTURE_CONSTANT
+from warp_psdr.kernels.constants import EMITTER_PROJECTOR, PI, TEXTURE_BITMAP, TEXTURE_CONSTANT
 from warp_psdr.kernels.emitter.point import DeltaLightFunctions
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.reading import texture_record
@@ -63,6 +63,33 @@ def image_aspect(scene: Scene, e: Emitter) -> wp.float32:
     return wp.float32(wp.max(t.width, 1)) / wp.float32(wp.max(t.height, 1))
 
 
+@wp.func
+def place_in_frame(scene: Scene, e: Emitter, d: wp.vec3) -> wp.vec3:
+    """Where the image is read, and 1; the third is 0 beyond the frame and behind the pinhole."""
+    values = scene.values
+    x_axis, y_axis = load_column(values, e.to_world, 0), load_column(values, e.to_world, 1)
+    z_axis = load_column(values, e.to_world, 2)
+    if wp.dot(z_axis, d) <= 0.0:
+        return wp.vec3(0.0, 0.0, 0.0)
+    fov = values[e.cutoff]
+    aspect = image_aspect(scene, e)
+    u = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(1.0, 0.0))
+    v = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(0.0, 1.0))
+    # NaN passes, and makes the sample invalid.
+    outside = u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0
+    return wp.vec3(u, v, wp.where(outside, 0.0, 1.0))
+
+
+@wp.func
+def in_frame(scene: Scene, light: wp.int32, x: wp.vec3) -> wp.bool:
+    """Whether a point lies in the cone of an image; true of lights of other kinds."""
+    e = scene.emitters[light]
+    if e.kind != EMITTER_PROJECTOR:
+        return True
+    place = place_in_frame(scene, e, x - load_column(scene.values, e.to_world, 3))
+    return place[2] > 0.0
+
+
 @functools.cache
 def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunctions:
     """Return the functions of the projector (see `DeltaLightFunctions`).
@@ -73,22 +100,6 @@ def make_projector(role: str | None, wanted: tuple[str, ...]) -> DeltaLightFunct
             the field of view. The derivative is that inside of the frame, whose edge is the boundary term's.
     """
     texture_at = make_texture(KINDS)
-
-    @wp.func
-    def place_in_frame(scene: Scene, e: Emitter, d: wp.vec3) -> wp.vec3:
-        """Where the image is read, and 1; the third is 0 beyond the frame and behind the pinhole."""
-        values = scene.values
-        x_axis, y_axis = load_column(values, e.to_world, 0), load_column(values, e.to_world, 1)
-        z_axis = load_column(values, e.to_world, 2)
-        if wp.dot(z_axis, d) <= 0.0:
-            return wp.vec3(0.0, 0.0, 0.0)
-        fov = values[e.cutoff]
-        aspect = image_aspect(scene, e)
-        u = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(1.0, 0.0))
-        v = frame_dot(d, x_axis, y_axis, z_axis, fov, aspect, wp.vec2(0.0, 1.0))
-        # NaN passes, and makes the sample invalid.
-        outside = u < 0.0 or u > 1.0 or v < 0.0 or v > 1.0
-        return wp.vec3(u, v, wp.where(outside, 0.0, 1.0))
 
     @wp.func
     def sample(scene: Scene, e: Emitter, x: wp.vec3, u: wp.vec2) -> LightSample:

@@ -20,6 +20,7 @@ def film(rfilter):
 
 
 def lit(irradiance, **objects):
+    """A floor under a projector, and more objects; they may take the place of those."""
     lamp = {"type": "projector", "to_world": T.look_at([0.6, -0.4, 1.8], [0.1, 0.2, 0.0], [0, 1, 0]), "fov": 40.0}
     view = T.look_at([0.3, -0.6, 2.5], [0.1, 0.0, 0.0], [0, 1, 0])
     scene = psdr.load_dict(
@@ -136,3 +137,21 @@ def test_light_of_the_frame_between_surfaces(method) -> None:
 def test_a_frame_on_an_exact_sphere() -> None:
     scene, params = lit(IMAGE, ball={"type": "sphere", "radius": 0.5, "center": [-0.2, 0.3, 0.3], "exact": True})
     assert_slope(scene, params, "sensor.to_world", shift(0.5, 0.3, 0.7), 0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["lamp.to_world", "mirror.to_world", "sensor.to_world"])
+def test_a_frame_in_a_mirror(name) -> None:
+    mirror = T.translate([0, 1.0, 0.9]) @ T.rotate([1, 0.1, 0.05], 85) @ T.scale(0.8)
+    view = T.look_at([0.2, -1.6, 1.3], [-0.05, 1.0, 0.35], [0, 0, 1])
+    scene, params = lit(
+        IMAGE,
+        sensor={"type": "perspective", "fov": 22.0, "to_world": view, "film": film("gaussian")},
+        mirror={"type": "rectangle", "to_world": mirror, "bsdf": {"type": "conductor"}},
+    )
+    tangent = shift(0.3, 0.5, 0.3)
+    if name == "lamp.to_world":
+        tangent = turn(params[name], 0.3, 0.5, 1.0)
+    assert_slope(scene, params, name, tangent, 0.01, depth=3, spp=2048, difference_spp=8192)
+    options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 32, "seed": 2}
+    assert_transposes(scene, params, [name], options)

@@ -94,7 +94,11 @@ def test_the_edge_of_an_image_is_named_unless_it_is_black(irradiance, edge):
 @pytest.mark.parametrize(
     ("objects", "texture", "match"),
     [
-        ({"floor": {"type": "rectangle", "bsdf": {"type": "conductor"}}}, {}, "beside smooth mirrors, glass"),
+        (
+            {"floor": {"type": "rectangle", "bsdf": {"type": "conductor"}}},
+            {"filter_type": "nearest"},
+            "'nearest' texels .* beside smooth mirrors, glass",
+        ),
         ({}, {"filter_type": "nearest", "to_uv": psdr.Transform.scale([2, 2, 1])}, "'nearest'.*to_uv"),
     ],
     ids=["mirror", "nearest through to_uv"],

@@ -99,8 +99,8 @@ class PathSpace(Connecting):
     smooth mirrors and glass it searches along lines, to 16 path vertices
     (``kernels/boundary/specular/line_search.py``).
 
-    It refuses faces' attributes where texture coordinates move, spots whose light ends abruptly, and projectors of that
-    kind beside mirrors, glass, masks or media, surfaces that a clip plane cuts in sight, and shapes that share an edge.
+    It refuses faces' attributes where texture coordinates move, spots whose light ends abruptly, projectors of that
+    kind beside media, surfaces that a clip plane cuts in sight, and shapes that share an edge.
 
     Surfaces that merely touch are in contact. As they move apart, or into each other, the image has two one-sided
     derivatives, and the result at the contact is neither. Forward mode warns of such tangents. The gradient of reverse

@@ -184,11 +184,11 @@ def _unknown_edge_of_light(scene: Scene, config: PathConfig, e: Emitter) -> str:
     edge = edge_of_light(scene, e)
     if not edge or e.kind != c.EMITTER_PROJECTOR:
         return edge
-    if unknown_steps(scene, e):
-        return unknown_steps(scene, e)
+    of_texels = unknown_steps(scene, e, has_delta_lobes(config.surfaces.bsdfs))
+    if of_texels:
+        return of_texels
     for there, what in (
         (config.media is not None, "participating media"),
-        (has_delta_lobes(config.surfaces.bsdfs), "smooth mirrors, glass or masks"),
         (config.camera in c.METERS, "a sensor without a film"),
     ):
         if there:

@@ -55,13 +55,21 @@ def slides(scene: Scene, e: Emitter) -> bool:
     return not np.array_equal(matrix, np.eye(3))
 
 
-def unknown_steps(scene: Scene, e: Emitter) -> str:
-    """Say which steps a projector's image has that are not listed, and what to do; empty: none."""
+def unknown_steps(scene: Scene, e: Emitter, mirrors: bool) -> str:
+    """Say which steps a projector's image has that are not known, and what to do; empty: none.
+
+    ``mirrors``: there are smooth mirrors, glass or masks, behind which frames are found.
+    """
     t = scene.builder.textures[e.texture]
     if t.kind != c.TEXTURE_BITMAP or t.filter == c.FILTER_BILINEAR:
         return ""
     if slides(scene, e):
         return "a projector reads a 'nearest' image through to_uv, and light jumps at its texels; use 'bilinear'"
+    if mirrors:
+        return (
+            "the 'nearest' texels of a projector's image are not known beside smooth mirrors, glass or masks; use "
+            "'bilinear'"
+        )
     if 2 * t.width * t.height > MOST:
         return f"a projector's 'nearest' image has more than {MOST:,} borders of texels; use 'bilinear'"
     return ""

@@ -59,9 +59,9 @@ class Crossing:
     aside: wp.float32  # part of the line at which its two sides are looked at; 0: where they differ
     low_lies: wp.int32  # where its lower side lies: 1: up the line, -1: down it, 0: as at its crossing
     both: wp.int32  # 1: the other side of the line is a crossing of its own
-    edge: (
-        wp.int32
-    )  # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``, 4: ``step``
+    # 1: ``point`` and ``segment`` hold the edge, 2: ``segment`` holds material points, 3: ``outline``, 4: ``step``,
+    # 5: a side of an image, with the place (u2, v2) of ``segment`` on it
+    edge: wp.int32
     point: EdgePoint
     outline: ChainOutline
     segment: Segment  # of the points, face1 (-1: none) is moved along ``boundary_normal1``, face2 along ``sweep``

@@ -16,6 +16,7 @@ from warp_psdr.kernels.boundary.specular.chain_edges import Crossing, aside, mak
 from warp_psdr.kernels.boundary.specular.chain_outlines import make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit
 from warp_psdr.kernels.boundary.specular.chain_touch import SAME
+from warp_psdr.kernels.boundary.specular.frame_crossing import frame_crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import (
     RayDifferential,
     make_point_differential,
@@ -32,7 +33,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     make_start,
 )
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables, joined, smooth_between
-from warp_psdr.kernels.constants import FAR, LOBE_NONE
+from warp_psdr.kernels.constants import EMITTER_PROJECTOR, FAR, LOBE_NONE
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import slides_on
@@ -111,6 +112,7 @@ def make_crossing(config: PathConfig):
     edge_crossing = make_edge_crossing(config.rays.hidden, config.surfaces.primitives)
     shadow_crossing = make_shadow_crossing(config)
     one_sheet = make_one_sheet(config.surfaces.primitives)
+    projects = EMITTER_PROJECTOR in config.lights.others
 
     @wp.func
     def crossing(
@@ -233,6 +235,9 @@ def make_crossing(config: PathConfig):
                 if wp.static(shadow_crossing is not None):
                     if (i > 0 or block.first == 1) and depth + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
+                            if wp.static(projects):
+                                if r.valid == 0:
+                                    r = frame_crossing(scene, p.x, q.x, a_x, b_x, k, count + i)
                             if r.valid == 0 and is_delta_light(scene.emitters[k].kind):
                                 r = shadow_crossing(scene, edges, tables, p, q, a_x, b_x, k, count + i)
                 return r

@@ -6,6 +6,7 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.local_form import Edges
+from warp_psdr.kernels.boundary.path_space.light_frame import make_frame_sink
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink, make_source_sink
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
 from warp_psdr.kernels.boundary.specular.chain_outlines import make_outline_sink
@@ -22,6 +23,7 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
 )
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.constants import EMITTER_PROJECTOR
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -67,6 +69,8 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
     accumulate_outline = make_outline_sink(role, config.surfaces.primitives)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     accumulate_slide = make_slide_sink(role) if config.surfaces.steps else None
+    projects = light_pose and EMITTER_PROJECTOR in config.lights.others
+    accumulate_frame = make_frame_sink(role) if projects else None
     interaction = make_interaction(config.surfaces, config.lights)
     has_smooth = interaction.eval is not None
     splat, gather = make_splat()
@@ -232,6 +236,12 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
                             end = visits[r.last]
                             tri = scene.triangles[end.face]
                             speed += accumulate_slide(scene, target, r.step.texture, r.step.axis, tri, end.u, end.v, w)
+                    if wp.static(accumulate_frame is not None):
+                        if r.edge == 5:
+                            of_image = wp.vec2(r.segment.u2, r.segment.v2)
+                            light = scene.emitters[r.segment.light]
+                            g = w * r.segment.boundary_normal
+                            speed += accumulate_frame(scene, target, light, of_image, r.segment.tau, g)
                     if r.edge == 1:
                         speed += accumulate_segment(scene, target, edges, r.point, r.segment, w)
                     if wp.static(bool(config.surfaces.primitives)):

@@ -19,8 +19,16 @@ import warp as wp
 from warp_psdr.kernels.boundary.detector import make_following
 from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
-from warp_psdr.kernels.constants import FAR, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import (
+    EMITTER_PROJECTOR,
+    FAR,
+    LOBE_DELTA_REFLECTION,
+    LOBE_DELTA_TRANSMISSION,
+    LOBE_NULL,
+    LOBE_SMOOTH,
+)
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
+from warp_psdr.kernels.emitter.projector import in_frame
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.primitive.affine import is_primitive_at
@@ -251,9 +259,13 @@ def make_lit(config: PathConfig):
     if sample is None:
         return None
     visibility = visibility_of(config.rays, config.surfaces.primitives)
+    projects = EMITTER_PROJECTOR in config.lights.others
 
     @wp.func
     def lit(scene: Scene, x: wp.vec3, ng: wp.vec3, light: wp.int32) -> wp.bool:
+        if wp.static(projects):
+            if not in_frame(scene, light, x):
+                return False
         ls = sample(scene, scene.emitters[light], x, wp.vec2(0.5, 0.5))
         return not visibility.occluded(scene, step_beside(x, ng, ls.wi, scene.ray_epsilon), ls.wi, ls.distance)
 
