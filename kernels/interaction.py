@@ -179,7 +179,7 @@ def make_parts(surfaces: SurfaceConfig, record: type) -> InteractionParts:
     looked_up = make_looked_up_record(make_bsdf(surfaces.bsdfs).record)
     side_of = make_side(surfaces.two_sided)
     frame_on = make_framing(surfaces.tangent)
-    material_at = make_material(surfaces.bsdfs, surfaces.material)
+    material_at = make_material(surfaces.bsdfs, surfaces.material, surfaces.primitives)
     measured = make_measures(surfaces.bsdfs, surfaces.material)
 
     @wp.func

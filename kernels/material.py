@@ -42,7 +42,7 @@ def table_address(scene: Scene, index: wp.int32) -> wp.uint64:
 
 
 @functools.cache
-def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
+def make_material(models: tuple[str, ...], material: tuple[Slot, ...], primitives: tuple[int, ...]):
     """Return ``material_at(scene, slots, face, u, v, uv) -> record``; unused values stay 0 and cost nothing."""
     scope = {"record": make_bsdf(models).record, "Scene": Scene, "slot_at": slot_at, "table_address": table_address}
     lines = [
@@ -58,7 +58,7 @@ def make_material(models: tuple[str, ...], material: tuple[Slot, ...]):
         if slot.table:
             lines.append(f"    m.{slot.name} = table_address(scene, i{k})")
             continue
-        scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises)
+        scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises, primitives)
         value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")
         if is_optional(models, slot):
             lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = {value}"]

@@ -90,7 +90,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     )
     accumulate_camera = make_camera_sink("forward", config.camera) if wanted.camera else None
     emission_jvp = (
-        make_texture_jvp(config.lights.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords)
+        make_texture_jvp(config.lights.area, False, wanted.radiance, wanted.to_uv, geometry or wanted.texcoords, ())
         if config.lights.area
         else None
     )

@@ -17,7 +17,11 @@ from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Scene, Texture
 from warp_psdr.kernels.texture.texture import TextureAdjoint, footprint, make_texture, make_texture_sink, texel
-from warp_psdr.kernels.texture.volume import make_volume_texture, make_volume_texture_sink
+from warp_psdr.kernels.texture.volume import (
+    make_placed_texture_sink,
+    make_volume_texture,
+    make_volume_texture_sink,
+)
 
 
 @wp.func
@@ -89,16 +93,34 @@ def make_gradient_sink(role: str, kinds: tuple[int, ...], values: bool):
     return accumulate_gradient
 
 
-def make_reader(kinds: tuple[int, ...], rises: bool):
+def make_reader(kinds: tuple[int, ...], rises: bool, primitives: tuple[int, ...]):
     """Return what reads a value of a material: a texture, or how it ``rises``."""
     if rises:
         return make_gradient(kinds)
-    return make_volume_texture(kinds) if TEXTURE_GRID in kinds else make_texture(kinds)
+    return make_volume_texture(kinds, primitives) if TEXTURE_GRID in kinds else make_texture(kinds)
 
 
-def make_reader_sink(role: str, kinds: tuple[int, ...], rises: bool, values: bool, to_uv: bool, slide: bool):
-    """Return where the adjoint of ``make_reader`` goes; arguments as of ``make_texture_sink``."""
+def is_placed(kinds: tuple[int, ...], rises: bool, primitives: tuple[int, ...]) -> bool:
+    """Whether the adjoint of what is read has a part of the point itself: of volumes on shapes without triangles."""
+    return bool(primitives) and TEXTURE_GRID in kinds and not rises
+
+
+def make_reader_sink(
+    role: str,
+    kinds: tuple[int, ...],
+    rises: bool,
+    values: bool,
+    to_uv: bool,
+    slide: bool,
+    primitives: tuple[int, ...],
+):
+    """Return where the adjoint of ``make_reader`` goes; arguments as of ``make_texture_sink``.
+
+    Where it ``is_placed`` it returns a ``PlacedAdjoint``.
+    """
     if rises:
         return make_gradient_sink(role, kinds, values)
+    if is_placed(kinds, rises, primitives):
+        return make_placed_texture_sink(role, kinds, values, to_uv, slide, primitives)
     make_sink_of = make_volume_texture_sink if TEXTURE_GRID in kinds else make_texture_sink
     return make_sink_of(role, kinds, values, to_uv, slide)

@@ -2,8 +2,9 @@
 
 The value at x is t(q), q = W x in the grid's unit cube (``medium/volume.py``). It is linear in the voxels. Its adjoint
 a_q = (dt/dq)^T w goes to W as a_q (x, 1)^T, and to x as W^T a_q. A surface that moves slides through the texture: x
-rides on the corners of its triangle, and barycentrics that a ray finds are attached too. Nearest voxels have no slope,
-so parameters that slide them are refused (``warp_psdr/plan/boundary.py``).
+rides on the corners of its triangle, and barycentrics that a ray finds are attached too; on shapes without triangles it
+moves as their vertices do (``primitive/kind.py``). Nearest voxels have no slope, so parameters that slide them are
+refused (``warp_psdr/plan/steps.py``).
 
 Derivation: ``docs/theory/interior.md#textures-that-are-volumes``.
 """
@@ -15,6 +16,8 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import FILTER_NEAREST, TEXTURE_CHECKERBOARD, TEXTURE_GRID
 from warp_psdr.kernels.medium.volume import grid_point, grid_size, grid_value, make_grid_sink, voxels_at
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.reading import load_vec3, texture_record, triangle_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene, Texture
@@ -54,9 +57,24 @@ def trilinear_slope(scene: Scene, g: Texture, p: wp.vec3, w: wp.vec3) -> wp.vec3
     return wp.vec3(x, y, z)
 
 
+@wp.struct
+class PlacedAdjoint:
+    """Adjoint of what a texture was read at, its place in the scene on shapes without triangles included."""
+
+    dot: wp.float32
+    uv: wp.vec2
+    u: wp.float32
+    v: wp.float32
+    x: wp.vec3
+
+
 @functools.cache
-def make_volume_texture(kinds: tuple[int, ...]):
-    """Return ``volume_texture_at``, as ``make_texture``'s, for slots in which some texture is a volume."""
+def make_volume_texture(kinds: tuple[int, ...], primitives: tuple[int, ...]):
+    """Return ``volume_texture_at``, as ``make_texture``'s, for slots in which some texture is a volume.
+
+    ``primitives``: the kinds of shapes without triangles.
+    """
+    point_at = make_point_at(primitives)
     rest = tuple(kind for kind in kinds if kind != TEXTURE_GRID)
     others = make_texture(rest) if rest else None
 
@@ -73,10 +91,43 @@ def make_volume_texture(kinds: tuple[int, ...]):
         if wp.static(others is not None):
             if g.kind != TEXTURE_GRID:
                 return others(scene, number, face, u, v, uv)
-        x = point_on(triangle_at(scene, face), u, v)
+        x = point_at(scene, triangle_at(scene, face), u, v)
         return grid_value(scene.values, g, grid_point(scene, g, x))
 
     return volume_texture_at
+
+
+@functools.cache
+def make_place_sink(role: str, values: bool, to_uv: bool, slide: bool):
+    """Return ``accumulate_place(scene, target, g, x, w) -> (adjoint of x, float)``: to voxels and W."""
+    accumulate_grid = make_grid_sink(role)
+    sink, sink3 = make_sink(role), make_sink_vec3(role)
+
+    @wp.func
+    def accumulate_place(
+        scene: Scene, target: wp.array(dtype=wp.float32), g: Texture, x: wp.vec3, w: wp.vec3
+    ) -> tuple[wp.vec3, wp.float32]:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        p = grid_point(scene, g, x)
+        a_x = wp.vec3(0.0, 0.0, 0.0)
+        total = wp.float32(0.0)
+        if wp.static(values):
+            total += accumulate_grid(target, g, p, w)
+        if wp.static(to_uv or slide):
+            a = wp.cw_mul(grid_size(g), trilinear_slope(scene, g, p, w))
+            t = g.to_uv
+            if wp.static(to_uv):
+                for row in range(3):
+                    total += sink3(target, t + 4 * row, a[row] * x) + sink(target, t + 4 * row + 3, a[row])
+            if wp.static(slide):
+                a_x = (
+                    a[0] * load_vec3(scene.values, t)
+                    + a[1] * load_vec3(scene.values, t + 4)
+                    + a[2] * load_vec3(scene.values, t + 8)
+                )
+        return a_x, total
+
+    return accumulate_place
 
 
 @functools.cache
@@ -84,8 +135,8 @@ def make_volume_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to
     """Return ``accumulate_volume_texture``, as ``make_texture_sink``'s; ``to_uv``: scatter to W."""
     rest = tuple(kind for kind in kinds if kind != TEXTURE_GRID)
     others = make_texture_sink(role, rest, values, to_uv, slide) if rest else None
-    accumulate_grid = make_grid_sink(role)
-    sink, sink3 = make_sink(role), make_sink_vec3(role)
+    accumulate_place = make_place_sink(role, values, to_uv, slide)
+    sink3 = make_sink_vec3(role)
 
     @wp.func
     def accumulate_volume_texture(
@@ -109,28 +160,57 @@ def make_volume_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to
             if g.kind != TEXTURE_GRID:
                 return others(scene, target, number, face, u, v, uv, w)
         tri = triangle_at(scene, face)
-        x = point_on(tri, u, v)
-        p = grid_point(scene, g, x)
+        a_x, dot = accumulate_place(scene, target, g, point_on(tri, u, v), w)
         result = TextureAdjoint()
-        if wp.static(values):
-            result.dot += accumulate_grid(target, g, p, w)
-        if wp.static(to_uv or slide):
-            a = wp.cw_mul(grid_size(g), trilinear_slope(scene, g, p, w))
-            t = g.to_uv
-            if wp.static(to_uv):
-                for row in range(3):
-                    result.dot += sink3(target, t + 4 * row, a[row] * x) + sink(target, t + 4 * row + 3, a[row])
-            if wp.static(slide):
-                a_x = (
-                    a[0] * load_vec3(scene.values, t)
-                    + a[1] * load_vec3(scene.values, t + 4)
-                    + a[2] * load_vec3(scene.values, t + 8)
-                )
-                result.dot += sink3(target, scene.positions + 3 * tri.i0, (1.0 - u - v) * a_x)
-                result.dot += sink3(target, scene.positions + 3 * tri.i1, u * a_x)
-                result.dot += sink3(target, scene.positions + 3 * tri.i2, v * a_x)
-                result.u = wp.dot(a_x, tri.p1 - tri.p0)
-                result.v = wp.dot(a_x, tri.p2 - tri.p0)
+        result.dot = dot
+        if wp.static(slide):
+            result.dot += sink3(target, scene.positions + 3 * tri.i0, (1.0 - u - v) * a_x)
+            result.dot += sink3(target, scene.positions + 3 * tri.i1, u * a_x)
+            result.dot += sink3(target, scene.positions + 3 * tri.i2, v * a_x)
+            result.u = wp.dot(a_x, tri.p1 - tri.p0)
+            result.v = wp.dot(a_x, tri.p2 - tri.p0)
         return result
 
     return accumulate_volume_texture
+
+
+@functools.cache
+def make_placed_texture_sink(
+    role: str, kinds: tuple[int, ...], values: bool, to_uv: bool, slide: bool, primitives: tuple[int, ...]
+):
+    """Return ``make_volume_texture_sink``'s function where there are ``primitives``; it returns a ``PlacedAdjoint``."""
+    on_triangles = make_volume_texture_sink(role, kinds, values, to_uv, slide)
+    accumulate_place = make_place_sink(role, values, to_uv, slide)
+    point_at = make_point_at(primitives)
+
+    @wp.func
+    def accumulate_placed_texture(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        index: wp.int32,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        uv: wp.vec2,
+        w: wp.vec3,
+    ) -> PlacedAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        result = PlacedAdjoint()
+        tri = triangle_at(scene, face)
+        g = texture_record(scene, index)
+        if wp.static(TEXTURE_CHECKERBOARD in kinds):
+            if g.kind == TEXTURE_CHECKERBOARD:
+                g = texture_record(scene, checkerboard_field(scene, g, uv))
+        if is_primitive(tri) and g.kind == TEXTURE_GRID:
+            a_x, dot = accumulate_place(scene, target, g, point_at(scene, tri, u, v), w)
+            result.dot = dot
+            result.x = a_x
+        else:
+            t = on_triangles(scene, target, index, face, u, v, uv, w)
+            result.dot = t.dot
+            result.uv = t.uv
+            result.u = t.u
+            result.v = t.v
+        return result
+
+    return accumulate_placed_texture

@@ -136,9 +136,6 @@ def test_what_cannot_be_is_named(reflectance, words):
 
 
 def test_where_volumes_cannot_be_is_named():
-    ball = {"type": "sphere", "exact": True, "bsdf": {"type": "diffuse", "reflectance": VOLUME}}
-    with pytest.raises(ValueError, match=r"a 'volume' texture on an exact 'sphere'.*leave out 'exact'"):
-        describe_dict({**scene(0.5), "cube": ball})
     with pytest.raises(ValueError, match=r"radiance.*a 'volume'.*bitmaps"):
         describe_dict(scene(0.5, emitter={"type": "area", "radiance": VOLUME}))
     with pytest.raises(ValueError, match=r"a volume of 3 channels.*one number"):

@@ -91,11 +91,13 @@ def seen_steps(scene: Scene, config: PathConfig, moves: Motion) -> frozenset[tup
     """Return the (shape, texture) whose steps move against the points that the camera sees."""
     if config.material_first:
         return moves.steps
+    still = not (moves.camera or moves.shapes)
+    slide = {i for i in scene.builder.primitives if not still and not scene.geometry(i).is_material}
     carried = {
         (shape, number)
         for shape, textures in scene.builder.stepped().items()
         for number in textures
-        if moves.camera or shape in moves.shapes
+        if moves.camera or shape in moves.shapes | slide
     }
     return moves.steps | carried
 

@@ -16,7 +16,7 @@ from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_position
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
-from warp_psdr.kernels.texture.gradient import make_reader_sink
+from warp_psdr.kernels.texture.gradient import is_placed, make_reader_sink
 from warp_psdr.kernels.texture.texture import make_texture_sink
 from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 
@@ -42,7 +42,10 @@ def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: s
     ]
     for k, (slot, values) in enumerate(zip(surfaces.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
-            scope[f"push_{k}"] = make_reader_sink(role, slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
+            read = slot.kinds, slot.rises
+            scope[f"push_{k}"] = make_reader_sink(
+                role, *read, values, wanted.to_uv, wanted.geometry, surfaces.primitives
+            )
             value = f"m.{slot.name}" if slot.color else f"wp.vec3(m.{slot.name}, 0.0, 0.0)"
             lines += [
                 f"    i{k} = slot_at(scene, slots, {k})",
@@ -53,6 +56,8 @@ def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: s
                 f"        a.u += t{k}.u",
                 f"        a.v += t{k}.v",
             ]
+            if wanted.geometry and is_placed(*read, surfaces.primitives):
+                lines.append(f"        a.x += t{k}.x")
     lines.append("    return a, total\n")
     return make_generated("\n".join(lines), **scope)
 

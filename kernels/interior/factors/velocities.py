@@ -14,7 +14,7 @@ from warp_psdr.kernels.generated import make_generated
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.texture.gradient import make_reader_sink
+from warp_psdr.kernels.texture.gradient import is_placed, make_reader_sink
 from warp_psdr.kernels.vertex import SurfaceConfig
 from warp_psdr.kernels.vertex_motion import VertexTangent
 
@@ -40,9 +40,11 @@ def make_pair(models: tuple[str, ...]):
 
 
 @functools.cache
-def make_texture_jvp(kinds: tuple[int, ...], rises: bool, values: bool, to_uv: bool, slide: bool):
+def make_texture_jvp(
+    kinds: tuple[int, ...], rises: bool, values: bool, to_uv: bool, slide: bool, primitives: tuple[int, ...]
+):
     """Return ``texture_jvp(scene, tangents, index, face, u, v, uv, vertex) -> vec3``: the velocity of a value read."""
-    accumulate = make_reader_sink("forward", kinds, rises, values, to_uv, slide)
+    accumulate = make_reader_sink("forward", kinds, rises, values, to_uv, slide, primitives)
 
     @wp.func
     def texture_jvp(
@@ -62,7 +64,26 @@ def make_texture_jvp(kinds: tuple[int, ...], rises: bool, values: bool, to_uv: b
             result[channel] = t.dot + wp.dot(t.uv, vertex.uv) + t.u * vertex.u + t.v * vertex.v
         return result
 
-    return texture_jvp
+    @wp.func
+    def placed_texture_jvp(
+        scene: Scene,
+        tangents: wp.array(dtype=wp.float32),
+        index: wp.int32,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+        uv: wp.vec2,
+        vertex: VertexTangent,
+    ) -> wp.vec3:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        result = wp.vec3(0.0, 0.0, 0.0)
+        for channel in range(3):
+            t = accumulate(scene, tangents, index, face, u, v, uv, axis_vec3(channel))
+            moved = wp.dot(t.uv, vertex.uv) + t.u * vertex.u + t.v * vertex.v
+            result[channel] = t.dot + moved + wp.dot(t.x, vertex.x)
+        return result
+
+    return placed_texture_jvp if is_placed(kinds, rises, primitives) else texture_jvp
 
 
 @functools.cache
@@ -85,7 +106,9 @@ def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest):
     ]
     for k, (slot, values) in enumerate(zip(surfaces.material, wanted.material, strict=True)):
         if slot.kinds and (values or wanted.geometry or wanted.to_uv):
-            scope[f"jvp_{k}"] = make_texture_jvp(slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry)
+            scope[f"jvp_{k}"] = make_texture_jvp(
+                slot.kinds, slot.rises, values, wanted.to_uv, wanted.geometry, surfaces.primitives
+            )
             value = f"jvp_{k}(scene, tangents, i{k}, face, u, v, uv, vertex)" + ("" if slot.color else "[0]")
             lines += [
                 f"    i{k} = slot_at(scene, slots, {k})",

@@ -144,9 +144,6 @@ def _refuse_beside(
         "an emitter but 'area'" if geometry.shines else "an emitter": shines,
         "a sensor": measures,
         "a medium": encloses,
-        "a 'volume' texture": any(
-            leaf.kind == "volume" for side in bsdf.sides for t in side.textures.values() for leaf in t.leaves
-        ),
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
@@ -163,7 +160,7 @@ def _refuse_textures(props: Properties, bsdf: bsdfs.BsdfDescription, instead: st
         for name, texture in side.textures.items():
             if texture.kind in _READ_UV:
                 problem = f"a '{texture.kind}' for '{name}' on a '{props.type}', which has no texture coordinates"
-                raise error(props.where, problem, f"give a number or a colour, or {instead}")
+                raise error(props.where, problem, f"give a number, a colour or a 'volume', or {instead}")
         if any(side.textures.get(u) is not side.textures.get(v) for u, v in bsdfs.model_of(side).axes):
             problem = f"two roughnesses on a '{props.type}', which has no texture coordinates to align them with"
             raise error(props.where, problem, "give one 'alpha'")
