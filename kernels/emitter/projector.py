@@ -81,12 +81,12 @@ def place_in_frame(scene: Scene, e: Emitter, d: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def in_frame(scene: Scene, light: wp.int32, x: wp.vec3) -> wp.bool:
+def lies_in_frame(scene: Scene, light: wp.int32, x: wp.vec3) -> wp.bool:
     """Whether a point lies in the cone of an image; true of lights of other kinds."""
-    e = scene.emitters[light]
-    if e.kind != EMITTER_PROJECTOR:
+    record = scene.emitters[light]
+    if record.kind != EMITTER_PROJECTOR:
         return True
-    place = place_in_frame(scene, e, x - load_column(scene.values, e.to_world, 3))
+    place = place_in_frame(scene, record, x - load_column(scene.values, record.to_world, 3))
     return place[2] > 0.0
 
 

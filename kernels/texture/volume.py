@@ -98,7 +98,7 @@ def make_volume_texture(kinds: tuple[int, ...], primitives: tuple[int, ...]):
 
 
 @functools.cache
-def make_place_sink(role: str, values: bool, to_uv: bool, slide: bool):
+def make_point_in_volume_sink(role: str, values: bool, to_uv: bool, slide: bool):
     """Return ``accumulate_place(scene, target, g, x, w) -> (adjoint of x, float)``: to voxels and W."""
     accumulate_grid = make_grid_sink(role)
     sink, sink3 = make_sink(role), make_sink_vec3(role)
@@ -135,7 +135,7 @@ def make_volume_texture_sink(role: str, kinds: tuple[int, ...], values: bool, to
     """Return ``accumulate_volume_texture``, as ``make_texture_sink``'s; ``to_uv``: scatter to W."""
     rest = tuple(kind for kind in kinds if kind != TEXTURE_GRID)
     others = make_texture_sink(role, rest, values, to_uv, slide) if rest else None
-    accumulate_place = make_place_sink(role, values, to_uv, slide)
+    accumulate_place = make_point_in_volume_sink(role, values, to_uv, slide)
     sink3 = make_sink_vec3(role)
 
     @wp.func
@@ -180,7 +180,7 @@ def make_placed_texture_sink(
 ):
     """Return ``make_volume_texture_sink``'s function where there are ``primitives``; it returns a ``PlacedAdjoint``."""
     on_triangles = make_volume_texture_sink(role, kinds, values, to_uv, slide)
-    accumulate_place = make_place_sink(role, values, to_uv, slide)
+    accumulate_place = make_point_in_volume_sink(role, values, to_uv, slide)
     point_at = make_point_at(primitives)
 
     @wp.func

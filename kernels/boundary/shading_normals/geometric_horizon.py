@@ -28,7 +28,7 @@ from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, normalize_vjp
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, SurfaceConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Sample slots of x and theta, and of the side; those of the walk follow (``transport.py``).
@@ -51,9 +51,9 @@ def make_horizon_source(config: PathConfig):
 
 
 @functools.cache
-def make_horizon_sink(config: PathConfig, role: str):
+def make_horizon_sink(surfaces: SurfaceConfig, role: str):
     """Return ``accumulate_geometric_horizon(scene, target, segment, w) -> float``, for the triangle of x_1 and x_2."""
-    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, surfaces.primitives)
 
     @wp.func
     def accumulate_geometric_horizon(
@@ -144,7 +144,7 @@ def make_geometric_horizon_kernel(config: PathConfig, role: str, camera_moves: b
     """Return the kernel: one thread a sample; arguments as those of ``make_secondary_kernel``."""
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     horizon_segment = make_horizon_segment(config)
-    accumulate_geometric_horizon = make_horizon_sink(config, role)
+    accumulate_geometric_horizon = make_horizon_sink(config.surfaces, role)
     source = make_indirect(make_horizon_source(config)) if indirect else make_horizon_source(config)
     transport = make_transport(config, role, camera_moves, source)
     has_sliding = has_slides(config.surfaces.primitives)

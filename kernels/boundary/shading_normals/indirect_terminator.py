@@ -24,7 +24,7 @@ from warp_psdr.kernels.sampling import square_to_triangle
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import PathConfig, SurfaceConfig
 from warp_psdr.kernels.visibility import visibility_of
 
 #: Sine of the angle by which the two directions of the jump lie above and below the horizon of n.
@@ -57,9 +57,9 @@ def make_jump(config: PathConfig):
 
 
 @functools.cache
-def make_turned_sink(config: PathConfig, role: str):
+def make_turned_sink(surfaces: SurfaceConfig, role: str):
     """Return ``accumulate_terminator(scene, target, segment, w) -> float``, for x_2 and its normal."""
-    accumulate_vertex = make_vertex_sink(role, True, config.surfaces.flat, False, False, False, True)
+    accumulate_vertex = make_vertex_sink(role, True, surfaces.flat, False, False, False, True)
 
     @wp.func
     def accumulate_terminator(
@@ -135,7 +135,7 @@ def make_indirect_terminator_kernel(config: PathConfig, role: str, camera_moves:
     """
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     turned_segment = make_turned_segment(config)
-    accumulate_terminator = make_turned_sink(config, role)
+    accumulate_terminator = make_turned_sink(config.surfaces, role)
     transport = make_transport(config, role, camera_moves, make_jump(config), 2)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())

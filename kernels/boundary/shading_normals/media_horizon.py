@@ -55,7 +55,7 @@ def make_media_horizon_kernel(config: PathConfig, role: str, camera_moves: bool,
     ``grids_move``: grids of media have derivatives.
     """
     horizon_segment = make_horizon_segment(config)
-    accumulate_geometric_horizon = make_horizon_sink(config, role)
+    accumulate_geometric_horizon = make_horizon_sink(config.surfaces, role)
     line, medium_at = make_line(config)
     _first_vertex, transport = make_media_transport(
         config, role, camera_moves, grids_move, make_media_side(config), ends=2

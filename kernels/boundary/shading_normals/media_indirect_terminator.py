@@ -63,7 +63,7 @@ def make_media_indirect_terminator_kernel(config: PathConfig, role: str, camera_
     ``grids_move``: grids of media have derivatives.
     """
     turned_segment = make_turned_segment(config)
-    accumulate_terminator = make_turned_sink(config, role)
+    accumulate_terminator = make_turned_sink(config.surfaces, role)
     _line, medium_at = make_line(config)
     first_vertex, transport = make_media_transport(
         config, role, camera_moves, grids_move, make_media_jump(config), least=2, ends=3

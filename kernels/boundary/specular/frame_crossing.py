@@ -9,7 +9,7 @@ from warp_psdr.kernels.boundary.path_space.light_frame import on_screen
 from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential
 from warp_psdr.kernels.constants import EMITTER_PROJECTOR
-from warp_psdr.kernels.emitter.projector import image_aspect, in_frame, place_in_frame
+from warp_psdr.kernels.emitter.projector import image_aspect, lies_in_frame, place_in_frame
 from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.sensor.camera import half_width
 from warp_psdr.kernels.structs import Scene
@@ -27,12 +27,12 @@ def frame_crossing(
 ) -> Crossing:
     """The side of a projector's frame that ends its light between two points, with the differentials of the first."""
     r = Crossing()
-    e = scene.emitters[light]
-    if e.kind != EMITTER_PROJECTOR or in_frame(scene, light, low) == in_frame(scene, light, high):
+    record = scene.emitters[light]
+    if record.kind != EMITTER_PROJECTOR or lies_in_frame(scene, light, low) == lies_in_frame(scene, light, high):
         return r
-    o = load_column(scene.values, e.to_world, 3)
-    low_place = place_in_frame(scene, e, low - o)
-    high_place = place_in_frame(scene, e, high - o)
+    o = load_column(scene.values, record.to_world, 3)
+    low_place = place_in_frame(scene, record, low - o)
+    high_place = place_in_frame(scene, record, high - o)
     place = wp.vec2(low_place[0], low_place[1])
     along = wp.int32(-1)
     for k in range(2):
@@ -43,11 +43,11 @@ def frame_crossing(
                 along = 1 - k
     if along < 0:
         return r
-    x_axis = load_column(scene.values, e.to_world, 0)
-    y_axis = load_column(scene.values, e.to_world, 1)
-    at = on_screen(place, half_width(scene.values[e.cutoff]), image_aspect(scene, e))
-    d = at[0] * x_axis + at[1] * y_axis + load_column(scene.values, e.to_world, 2)
-    m = wp.cross(load_column(scene.values, e.to_world, along), d)
+    x_axis = load_column(scene.values, record.to_world, 0)
+    y_axis = load_column(scene.values, record.to_world, 1)
+    at = on_screen(place, half_width(scene.values[record.cutoff]), image_aspect(scene, record))
+    d = at[0] * x_axis + at[1] * y_axis + load_column(scene.values, record.to_world, 2)
+    m = wp.cross(load_column(scene.values, record.to_world, along), d)
     distance = wp.length(low - o)
     r.edge = 5
     r.segment.x = o + d

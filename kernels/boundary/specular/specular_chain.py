@@ -28,7 +28,7 @@ from warp_psdr.kernels.constants import (
     LOBE_SMOOTH,
 )
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
-from warp_psdr.kernels.emitter.projector import in_frame
+from warp_psdr.kernels.emitter.projector import lies_in_frame
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.primitive.affine import is_primitive_at
@@ -264,7 +264,7 @@ def make_lit(config: PathConfig):
     @wp.func
     def lit(scene: Scene, x: wp.vec3, ng: wp.vec3, light: wp.int32) -> wp.bool:
         if wp.static(projects):
-            if not in_frame(scene, light, x):
+            if not lies_in_frame(scene, light, x):
                 return False
         ls = sample(scene, scene.emitters[light], x, wp.vec2(0.5, 0.5))
         return not visibility.occluded(scene, step_beside(x, ng, ls.wi, scene.ray_epsilon), ls.wi, ls.distance)

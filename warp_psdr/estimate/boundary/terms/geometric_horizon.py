@@ -28,7 +28,7 @@ def applies_in_media(r: Request) -> bool:
 def launch(r: Request) -> Term | None:
     """Return the term of path vertices with interpolated normals whose own triangle turns away from light."""
     kernel = make_geometric_horizon_kernel(r.config, r.role, r.moves.camera, r.indirect)
-    return _term(r, TERM, kernel)
+    return _term(r, ON_SURFACES, kernel)
 
 
 def launch_in_media(r: Request) -> Term | None:
@@ -46,7 +46,7 @@ def _term(r: Request, term: BoundaryTerm, kernel: wp.Kernel) -> Term | None:
     return term_of(r, term, kernel, [r.scene.data(), r.camera, cdf, faces], samples)
 
 
-TERM = BoundaryTerm(
+ON_SURFACES = BoundaryTerm(
     name="geometric_horizon",
     title="{} horizons",
     stream=6,
@@ -59,9 +59,10 @@ TERM = BoundaryTerm(
 IN_MEDIA = BoundaryTerm(
     name="media_horizon",
     title="horizons in media",
-    stream=6,
+    stream=63,
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch_in_media,
     applies=applies_in_media,
     knows=words("media"),
 )
+TERMS = {term.name: term for term in (ON_SURFACES, IN_MEDIA)}
