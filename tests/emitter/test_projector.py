@@ -11,6 +11,7 @@ from tests.peer import MITSUBA_ROUNDING, for_mitsuba
 from warp_psdr.kernels.emitter.projector import frame_dot, projector_dot
 
 FACING = psdr.Transform.look_at([0.0, 0.0, 2.0], [0.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+UPRIGHT = psdr.Transform.rotate([1.0, 0.0, 0.0], 80.0) @ psdr.Transform.scale(0.3)
 
 
 def scene_of(size=16, **projector):
@@ -99,9 +100,14 @@ def test_the_edge_of_an_image_is_named_unless_it_is_black(irradiance, edge):
             {"filter_type": "nearest"},
             "'nearest' texels .* beside smooth mirrors, glass",
         ),
+        (
+            {"mirror": {"type": "rectangle", "to_world": UPRIGHT, "bsdf": {"type": "conductor"}}},
+            {},
+            "where shapes run through each other",
+        ),
         ({}, {"filter_type": "nearest", "to_uv": psdr.Transform.scale([2, 2, 1])}, "'nearest'.*to_uv"),
     ],
-    ids=["mirror", "nearest through to_uv"],
+    ids=["mirror", "sunk mirror", "nearest through to_uv"],
 )
 def test_an_edge_without_a_term_is_refused(objects, texture, match):
     scene = psdr.load_dict(scene_of(size=4, irradiance=image(random_map(), **texture)) | objects)

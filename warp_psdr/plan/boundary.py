@@ -184,11 +184,16 @@ def _unknown_edge_of_light(scene: Scene, config: PathConfig, e: Emitter) -> str:
     edge = edge_of_light(scene, e)
     if not edge or e.kind != c.EMITTER_PROJECTOR:
         return edge
-    of_texels = unknown_steps(scene, e, has_delta_lobes(config.surfaces.bsdfs))
+    mirrors = has_delta_lobes(config.surfaces.bsdfs)
+    of_texels = unknown_steps(scene, e, mirrors)
     if of_texels:
         return of_texels
     for there, what in (
         (config.media is not None, "participating media"),
+        (
+            mirrors and len(scene_curves(scene).length) > 0,
+            "smooth mirrors or glass where shapes run through each other",
+        ),
         (config.camera in c.METERS, "a sensor without a film"),
     ):
         if there:
