@@ -93,7 +93,7 @@ def test_in_thin_fog_terms_are_those_of_vacuum(kind, monkeypatch):
     """Each by itself: what is left after the interior term of equal samples."""
     launches, kept = terms.launches, set(kind)
     monkeypatch.setattr(terms, "launches", lambda term, r: launches(term, r) if term.name in kept else [])
-    method = psdr.boundary.PathSpace(spp_secondary=32768, guiding=None)
+    method = psdr.boundary.PathSpace(spp_secondary=131072, guiding=None)
     name = "ball.to_world"
     motions = [(name, MOTIONS[name]), (name, widen), (name, aim(0, 0, 1))]
     found = []
