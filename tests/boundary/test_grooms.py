@@ -53,7 +53,7 @@ register({"groom": lambda: groom(hairs(100)), "dark groom": lambda: groom(hairs(
 CASES = [
     Case("dark groom", POSE, entry(0, 3), 0.01, "x", 2, 6144, 32768),
     Case("groom", POINTS, coordinate(3), 0.0005, "radii", 2, 2048, 16384),
-    Case("dark groom", VIEW, entry(0, 3), 0.01, "the camera moves", 2, 4096, 32768),
+    Case("dark groom", VIEW, entry(0, 3), 0.01, "the camera moves", 2, 3072, 20480),
 ]
 
 
