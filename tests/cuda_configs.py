@@ -24,6 +24,7 @@ TEXTURED = changed(
     hide_emitters=True,
     hidden=True,
 )
+STEPPED = changed(TEXTURED, steps=True)
 ALL_LIGHTS = changed(SIMPLE, others=LIGHTS, one_light=False, filter=c.RFILTER_GAUSSIAN)
 ORTHOGRAPHIC = changed(SIMPLE, camera=c.CAMERA_ORTHOGRAPHIC)
 SHOWN_DEPTH, SHOWN_NORMAL = (changed(SIMPLE, shown=aov) for aov in ("depth", "sh_normal"))

@@ -48,6 +48,7 @@ from tests.cuda_configs import (
     SPLAT,
     SPLAT_GAUSSIAN,
     SPLINE,
+    STEPPED,
     TEXTURED,
     THIN_LENS,
     THIN_LENS_SMOOTH,
@@ -350,6 +351,7 @@ FACTORIES = {
         ("forward, networks", (NEURAL_MIRRORS, moving(NEURAL_MIRRORS), "forward", True), SLOW),
     ],
     "boundary.path_space.primary.make_primary_kernel": [
+        ("reverse, steps", (STEPPED, "reverse", True), SLOW),
         ("reverse, simple", (SIMPLE, "reverse", False), FAST),
         ("forward, materials", (MATERIALS, "forward", True), SLOW),
         ("reverse, textures", (TEXTURED, "reverse", True), SLOW),
@@ -358,6 +360,14 @@ FACTORIES = {
         ("samples, simple", (SIMPLE, "samples", False), SLOW),
         ("noted, simple", (NOTED, "reverse", False), SLOW),
         ("reverse, depth", (SHOWN_DEPTH, "reverse", False), SLOW),
+    ],
+    "boundary.path_space.sliding_steps.make_sliding_steps_kernel": [
+        ("reverse, steps", (STEPPED, "reverse", True), SLOW),
+        ("forward, steps", (STEPPED, "forward", False), SLOW),
+    ],
+    "boundary.path_space.light_frame.make_light_frame_kernel": [
+        ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
+        ("forward, lights", (ALL_LIGHTS, "forward", False, False), SLOW),
     ],
     "boundary.path_space.flat_creases.make_flat_creases_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False), SLOW),

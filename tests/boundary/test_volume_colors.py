@@ -64,7 +64,7 @@ OWN = {
     "tube": (POINTS, coordinate(2, 4), 0.004),
 }
 CASES = [
-    Case(f"{body}, voxels, lamp", name, tangent, step, what, 2, spp, 4 * spp, slow=(body, what) != ("cubic", "its own"))
+    Case(f"{body}, voxels, lamp", name, tangent, step, what, 2, spp, 4 * spp)
     for body in BODIES
     for what, name, tangent, step, spp in (
         ("voxels", DATA, at_random, 0.05, 64),
