@@ -33,6 +33,7 @@ EVERY = {
     "barycentrics_dot": "a ray in the plane of its triangle: no query returns such a hit, and if rounding makes one of "
     "a needle, its derivative is not finite, and the sample counted",
     "bilinear_dot": "linear in values, and in the position within a cell",
+    "half_width": "an opening of 180 degrees, which loading refuses",
     "camera_dot": "here", "lens_dot": "here", "parallel_dot": "here",
     "directional_dot": "here", "point_dot": "here", "spot_dot": "here", "moved_point_dot": "linear",
     "projected_dot": "test_textured_spot.py", "projector_dot": "test_projector.py", "frame_dot": "test_projector.py",
