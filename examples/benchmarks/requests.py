@@ -4,7 +4,7 @@
     python examples/benchmarks/requests.py FOLDER... --records raw.jsonl --define spp=16 --slopes --most 3 \
         --sample 12 --out docs/data/requests.jsonl
 
-Of each scene up to ``--each`` parameters of every kind are drawn, and the plan is asked for the derivative by each,
+Up to ``--each`` parameters of every kind are drawn from each scene, and the plan is asked for the derivative by each,
 with the integrator of the file: it is taken, or refused with a sentence. With ``--slopes`` a derivative along a random
 direction is compared with central differences with equal random numbers, and its first calls are timed, with an empty
 kernel cache for each scene. What crashes or hangs is recorded, and goes on with the next. What is in ``--records`` is

@@ -214,7 +214,7 @@ def test_a_line_is_listed_once_wherever_it_runs(cells) -> None:
     scene, _params = load(
         sensor=camera(T.look_at([0, 0, 3], [0, 0, 0], [0, 1, 0])), plane=plane, sky={"type": "constant"}
     )
-    stepped = scene.builder.stepped()
+    stepped = scene.builder.stepped
     edges = world_lines(scene, frozenset((shape, t) for shape, numbers in stepped.items() for t in numbers))
     points = edges.points.numpy()
     length = np.linalg.norm(points[:, 1] - points[:, 0], axis=1).sum()
@@ -227,7 +227,7 @@ def test_a_line_along_a_seam_is_listed_for_what_slides() -> None:
     scene, params = load(
         sensor=camera(T.look_at([0, -4, 0.5], [0, 0, 0.5], [0, 0, 1])), tube=tube, sky={"type": "constant"}
     )
-    carriers = frozenset((0, t) for t in scene.builder.stepped()[0])
+    carriers = frozenset((0, t) for t in scene.builder.stepped[0])
     lines = {seams: film_lines(scene, 0, carriers, seams) for seams in (False, True)}
     counts = [len(found[0].first.numpy()) - 1 for found in lines.values()]
     assert 0 < counts[0] < counts[1]

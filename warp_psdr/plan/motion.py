@@ -81,7 +81,7 @@ def _sliding_steps(scene: Scene, names: list[str]) -> frozenset[tuple[int, int]]
     shapes = {shape for p in found if TEXCOORDS in p.uses for shape in p.owners}
     return frozenset(
         (shape, number)
-        for shape, textures in scene.builder.stepped().items()
+        for shape, textures in scene.builder.stepped.items()
         for number in textures
         if shape in shapes or scene.builder.textures[number].to_uv in moved
     )
@@ -95,7 +95,7 @@ def seen_steps(scene: Scene, config: PathConfig, moves: Motion) -> frozenset[tup
     slide = {i for i in scene.builder.primitives if not still and not scene.geometry(i).is_material}
     carried = {
         (shape, number)
-        for shape, textures in scene.builder.stepped().items()
+        for shape, textures in scene.builder.stepped.items()
         for number in textures
         if moves.camera or shape in moves.shapes | slide
     }

@@ -343,7 +343,7 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         flat=flat,
         uv=uv,
         tangent=bool(b.anisotropic) and scatter,
-        steps=bool(b.stepped()),
+        steps=bool(b.stepped),
         primitives=primitives.kinds(scene),
     )
     lit = LightConfig(

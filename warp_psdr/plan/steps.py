@@ -39,7 +39,7 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
     moves = motion(scene, names)
     listed = shown = seen_steps(scene, config, moves)
     if has_delta_lobes(config.surfaces.bsdfs) and config.media is None and not config.material_first:
-        shown |= {(i, t) for i, textures in scene.builder.stepped().items() for t in textures}
+        shown |= {(i, t) for i, textures in scene.builder.stepped.items() for t in textures}
     smoother = "use a bilinear bitmap, a trilinear volume or a vertex attribute"
     for shape, number in sorted(shown):
         which = f"a texture of {scene.description.shapes[shape].path!r} has steps, which move"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -277,8 +278,9 @@ class Builder:
             found += [self.textures[n] for n in self.texture_records.nested_in(t)]
         return found
 
+    @functools.cached_property
     def stepped(self) -> dict[int, tuple[int, ...]]:
-        """Return the numbers of the textures that jump inside of triangles, of every shape that has some."""
+        """The numbers of the textures that jump inside of triangles, of every shape that has some."""
         number = {id(t): i for i, t in enumerate(self.textures) if has_steps(t)}
         if not number:
             return {}

@@ -358,11 +358,7 @@ class Scene:
         moved = {shape for p in changed if p.uses & {POSITIONS, SHAPE_POSE} for shape in p.owners}
         moved |= self._followers.move(changed)
         if moved:
-            self._update_triangles(sorted(moved))
-            self.accelerator.update()
-            if self._sight is not None:
-                self._sight.update()
-            self._update_bounds()
+            self._follow_vertices(moved)
             parted = self._part_interfaces(moved)
             moved |= parted
             positions = [p for p in self.parameters.values() if POSITIONS in p.uses and p.owner in parted]
@@ -390,6 +386,14 @@ class Scene:
         faces = (self.indices, s.first_face, s.face_count, s.first_vertex, s.vertex_count)
         return sum_of_normals(self, self.positions, *faces, s.normal_offset + 3 * s.first_vertex if write else -1)
 
+    def _follow_vertices(self, shapes: Iterable[int]) -> None:
+        """Recompute records, ray structures and bounds of shapes whose vertices have moved."""
+        self._update_triangles(sorted(shapes))
+        self.accelerator.update()
+        if self._sight is not None:
+            self._sight.update()
+        self._update_bounds()
+
     def _update_triangles(self, shapes: Iterable[int]) -> None:
         for shape in shapes:
             record = self.builder.shapes[shape]
@@ -407,11 +411,7 @@ class Scene:
         """
         parted = interfaces.part(self, self._nulls, moved) if self._nulls else {}
         if parted:
-            self._update_triangles(sorted(parted))
-            self.accelerator.update()
-            if self._sight is not None:
-                self._sight.update()
-            self._update_bounds()
+            self._follow_vertices(parted)
         if moved is None:
             self.description.notes += interfaces.notes(self, parted)
         return set(parted)

@@ -56,7 +56,7 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
 
 def _step_textures(scene: Scene) -> StepTextures:
     """Return the textures with steps of every shape."""
-    stepped = scene.builder.stepped()
+    stepped = scene.builder.stepped
     lists = [stepped.get(i, ()) for i in range(len(scene.builder.shapes))]
     tables = StepTextures()
     first = np.append(0, np.cumsum([len(numbers) for numbers in lists], dtype=np.int64)).astype(np.int32)

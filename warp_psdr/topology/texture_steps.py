@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: Pairs of a shape and a texture of it.
 Carriers = frozenset[tuple[int, int]]
+#: Edges of a scene, and the lines that were listed for them with what they were read from.
+Held = tuple[Adjacency, dict[tuple[Carriers, bool], tuple[list[bytes], Adjacency]]]
 #: Most lines of a scene: half a gigabyte.
 MOST = 1 << 21
 
@@ -34,9 +36,6 @@ def film_lines(scene: Scene, sensor: int, carriers: Carriers, seams: bool) -> tu
     """Return the lines that a camera may see, drawn by the clipped length of their image; None: none.
 
     Second is that length, in pixels. ``seams``: with those along seams of texture coordinates.
-
-    Raises:
-        ValueError: there are too many lines.
     """
     lines = _lines(scene, carriers, seams)
     low, high, length = camera_view(scene, sensor).clip(lines.points)
@@ -47,18 +46,14 @@ def film_lines(scene: Scene, sensor: int, carriers: Carriers, seams: bool) -> tu
 
 
 def world_lines(scene: Scene, carriers: Carriers) -> Edges | None:
-    """Return all lines, drawn by their length; None: there are none.
-
-    Raises:
-        ValueError: there are too many lines.
-    """
+    """Return all lines, drawn by their length; None: there are none."""
     lines = _lines(scene, carriers, True)
     n = len(lines.length)
     return upload(scene, lines, np.arange(n), lines.length, np.zeros(n), np.ones(n)) if n else None
 
 
 def too_many(scene: Scene, carriers: Carriers) -> str:
-    """Say which texture has more lines than can be listed; empty: none."""
+    """Say which texture has more lines than can be listed; empty: none. The plan asks before any are listed."""
     total = 0
     for carrier in sorted(carriers):
         _faces, place = _places(scene, carrier)
@@ -78,16 +73,22 @@ def on_seams(scene: Scene, carriers: Carriers) -> bool:
 def _lines(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
     """Return the lines of some textures on some shapes as edges of one face; kept until they change."""
     edges = scene_adjacency(scene)
-    key = (carriers, seams, *_read(scene, carriers))
-    kept = getattr(scene, "_texture_lines", None)
-    if kept is not None and kept[0] is edges and kept[1] == key:
-        return kept[2]
-    if too_many(scene, carriers):
-        raise ValueError(f"{too_many(scene, carriers)}; use bilinear bitmaps, or fewer cells")
+    held: Held | None = scene.__dict__.get("_texture_lines")
+    if held is None or held[0] is not edges:
+        held = scene.__dict__["_texture_lines"] = (edges, {})
+    read = _read(scene, carriers)
+    found = held[1].get((carriers, seams))
+    if found is None or found[0] != read:
+        found = held[1][carriers, seams] = (read, _listed(scene, carriers, seams))
+    return found[1]
+
+
+def _listed(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
+    """Return the lines of some textures on some shapes as edges of one face."""
     parts = [_lines_of(scene, carrier, seams) for carrier in sorted(carriers)]
     faces, ends, twins, points = (np.concatenate([part[k] for part in parts]) for k in range(4))
     n = len(faces)
-    found = Adjacency(
+    return Adjacency(
         ends=ends,
         twins=twins,
         faces=faces,
@@ -95,10 +96,8 @@ def _lines(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
         wedge=np.zeros(n),
         length=np.linalg.norm(points[:, 1] - points[:, 0], axis=1),
         points=points,
-        group=edges.group,
+        group=scene_adjacency(scene).group,
     )
-    scene._texture_lines = (edges, key, found)  # type: ignore[attr-defined]
-    return found
 
 
 def _read(scene: Scene, carriers: Carriers) -> list[bytes]:

@@ -23,6 +23,7 @@ from warp_psdr.kernels.boundary.path_space.media_transport import make_media_tra
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink, moves
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import exp_minus
@@ -225,9 +226,7 @@ def make_media_secondary_kernel(
         point.sample = number
         if aim.direction.valid == 0:
             return
-        eye = wp.vec3(
-            scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
-        )
+        eye = load_column(scene.values, camera.to_world, 3)
         s, ahead = segment_at(scene, camera, edges, moving, sampler, point, aim.direction, eye)
         if s.valid == 0:
             return

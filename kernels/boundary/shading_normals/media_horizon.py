@@ -17,6 +17,7 @@ from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk
 from warp_psdr.kernels.boundary.shading_normals.geometric_horizon import make_horizon_segment, make_horizon_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
+from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
@@ -80,9 +81,7 @@ def make_media_horizon_kernel(config: PathConfig, role: str, camera_moves: bool,
         s, normal, scale = horizon_segment(scene, face_cdf, faces, number, job.samples, sampler)
         if s.valid == 0:
             return
-        eye = wp.vec3(
-            scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
-        )
+        eye = load_column(scene.values, camera.to_world, 3)
         medium = medium_at(scene, eye, s.source, camera.medium)
         ahead = line(scene, sampler, -1, s.source, s.w, FAR, medium, 1)
         if ahead.lost:

@@ -20,6 +20,7 @@ from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import (
     make_turned_sink,
 )
 from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
@@ -88,9 +89,7 @@ def make_media_indirect_terminator_kernel(config: PathConfig, role: str, camera_
         s, start, scale = turned_segment(scene, face_cdf, faces, number, job.samples, sampler)
         if s.valid == 0:
             return
-        eye = wp.vec3(
-            scene.values[camera.to_world + 3], scene.values[camera.to_world + 7], scene.values[camera.to_world + 11]
-        )
+        eye = load_column(scene.values, camera.to_world, 3)
         medium = medium_at(scene, eye, start, camera.medium)
         first = first_vertex(scene, sampler, start, -s.w, eye, medium)
         s.t1 = wp.dot(s.x - first.x, s.w)
