@@ -365,6 +365,10 @@ FACTORIES = {
         ("reverse, steps", (STEPPED, "reverse", True), SLOW),
         ("forward, steps", (STEPPED, "forward", False), SLOW),
     ],
+    "boundary.path_space.media_sliding_steps.make_media_sliding_steps_kernel": [
+        ("reverse", (MEDIA, "reverse", True), SLOW),
+        ("forward", (MEDIA, "forward", False), SLOW),
+    ],
     "boundary.path_space.light_frame.make_light_frame_kernel": [
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
         ("forward, lights", (ALL_LIGHTS, "forward", False, False), SLOW),

@@ -189,6 +189,21 @@ def test_steps_that_slide_on_a_light_move_what_it_lights() -> None:
 
 
 @pytest.mark.slow
+def test_steps_that_slide_on_a_light_move_what_it_lights_in_fog() -> None:
+    """The board is out of sight: fog and a wall show what moves."""
+    pose = T.look_at([0, -4.0, 1.0], [0, 0, 1.0], [0, 0, 1])
+    fog = {"type": "homogeneous", "sigma_t": 0.3, "albedo": 0.8, "phase": {"type": "hg", "g": 0.3}}
+    air = {"type": "cube", "to_world": T.scale(9.0), "bsdf": {"type": "null"}, "interior": {"type": "ref", "id": "fog"}}
+    wall = {"type": "rectangle", "to_world": T.translate([0, 0.9, 1.0]) @ T.rotate([1, 0, 0], 90)}
+    sensor = camera(pose, medium={"type": "ref", "id": "fog"})
+    scene, params = load(fog=fog, sensor=sensor, board=board(checkers()), wall=wall, air=air)
+    slide = np.array([[0.3, 0.1, 1.0], [0.2, 0.0, 0.7], [0.0, 0.0, 0.0]])
+    name = "board.emitter.radiance.to_uv"
+    assert_slope(scene, params, name, slide, 2, spp=2048, difference_spp=16384, step=2e-2)
+    assert_transposes(scene, params, [name], {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 16, "seed": 2})
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["floor.bsdf.reflectance.to_uv", "floor.to_world", "sensor.to_world"])
 def test_steps_of_a_lit_floor(name) -> None:
     pose = T.look_at([0.2, -3.0, 2.0], [0, 0, 0], [0, 0, 1])

@@ -42,6 +42,11 @@ class Asked:
         return self.max_depth != 1 and bool(self.scene.builder.emitters)
 
     @property
+    def glows(self) -> bool:
+        """Whether there are media that shine on what scatters their light."""
+        return self.max_depth != 1 and self.config.media is not None and self.config.media.emissive
+
+    @property
     def vertex_motion(self) -> Motion:
         """What moves path vertices against each other: not the camera, unless first vertices slide along its rays."""
         return replace(self.moves, camera=False) if self.config.material_first else self.moves
@@ -50,6 +55,11 @@ class Asked:
     def scatters_smoothly(self) -> bool:
         """Whether any surface is more than a mirror or glass: only then can a path vertex be connected to another."""
         return has_smooth_lobes(self.config.surfaces.bsdfs)
+
+    @property
+    def scatters_somewhere(self) -> bool:
+        """Whether surfaces do so, or media."""
+        return self.scatters_smoothly or self.config.media is not None
 
     @property
     def meets_light(self) -> bool:
@@ -133,8 +143,8 @@ INTERSECTION_CURVE = Discontinuity(
     instead="move them apart",
 )
 SLIDING_STEPS = Discontinuity(
-    knows=words("material_points", "slides"),
-    applies=lambda asked: bool(asked.moves.steps) and asked.lit and asked.scatters_smoothly,
+    knows=words("material_points", "slides", "media"),
+    applies=lambda asked: bool(asked.moves.steps) and (asked.lit or asked.glows) and asked.scatters_somewhere,
     find=lambda _asked: "steps of a texture slide over its surface",
     instead="use a bilinear bitmap",
 )

@@ -53,7 +53,6 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
         path = scene.description.shapes[min(moves.steps)[0]].path
         for there, what in (
             (config.material_first, "interior.FilmAntithetic()"),
-            (config.media is not None, "participating media"),
             (config.camera in c.METERS, "a sensor without a film"),
         ):
             if there:

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.path_space.media_sliding_steps import make_media_sliding_steps_kernel
 from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.path_space.sliding_steps import make_sliding_steps_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
@@ -44,7 +45,8 @@ def launch_sliding(r: Request) -> Term | None:
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
-    kernel = make_sliding_steps_kernel(r.config, r.role, r.moves.camera)
+    make = make_sliding_steps_kernel if r.config.media is None else make_media_sliding_steps_kernel
+    kernel = make(r.config, r.role, r.moves.camera)
     return term_of(r, SLIDING, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
