@@ -68,9 +68,9 @@ class LightTracing(Method):
     The method draws the image as well as its derivatives. It finds light of no area behind glass and mirrors, which
     paths from the camera never find. Camera rays draw what the camera sees in mirrors and glass, and the lights
     that it sees. Samples a pixel are light paths over pixels; there are as many camera paths. Derivatives, by record
-    and sweep [NDSRJ20], are by everything except the camera and the shapes of lights. By parameters that move vertices
-    of light paths they are the interior term alone, with ``boundary=None`` (``kernels/interior/light_tracing.py``,
-    ``light_motion.py``).
+    and sweep [NDSRJ20], are by everything that moves no vertex (``kernels/interior/light_tracing.py``). What moves
+    vertices, or the camera, is differentiated by paths from the camera, whose image has the same mean. With
+    ``boundary=None`` light paths follow it, interior term alone (``light_motion.py``).
 
     Attributes:
         block: K, as of ``Replay``.
@@ -101,8 +101,8 @@ class Bidirectional(Method):
 
     A camera path finds light by hitting it and by next-event estimation; a light path is joined to the camera. Each
     counts with the balance heuristic over all ways to draw it [Vea97]. The method draws the image as well as its
-    derivatives, which are by parameters that move no vertex of its paths. Samples a pixel are camera paths; there are
-    as many light paths.
+    derivatives by parameters that move no vertex of its paths; the others are those of ``Replay``. Samples a pixel are
+    camera paths; there are as many light paths.
 
     Attributes:
         connections: "light": the three ways above; "all": the vertices of both paths are joined as well, for paths of

@@ -21,6 +21,7 @@ from warp_psdr.plan.motion import motion, moves_vertices
 from warp_psdr.plan.needs import unknown
 from warp_psdr.rows.replay import MOST_KEPT, Kept, keep_blocks
 from warp_psdr.scene.layout import LIGHT_POSE
+from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
@@ -41,6 +42,14 @@ SHORTEST = 3
 BY_SPHERES = (
     "With a small sphere in place of a light of no area interior.Replay() and boundary.PathSpace() differentiate "
     "caustics, edges included"
+)
+
+
+#: What the plan says where light paths draw the image, and paths from the camera estimate its derivative.
+NOT_FOLLOWED = (
+    "light paths",
+    "draw the image alone",
+    "its derivative by what moves vertices is that of paths from the camera, whose image has the same mean",
 )
 
 
@@ -84,6 +93,24 @@ class LightTracing:
             return "light paths", "joined to the camera, their vertices move", "interior term alone"
         left = "lights, and what mirrors and glass show" if self.camera.scatter else "the lights that it sees"
         return "light paths", "joined to the camera", f"the camera itself draws {left}"
+
+
+def followed_by_camera(
+    config: PathConfig, wanted: GradientRequest | None, integrator: PathIntegrator
+) -> PathIntegrator | None:
+    """Return the integrator whose paths from the camera estimate what moves vertices of light paths; None: these do.
+
+    Both images have the same mean. Where mirrors or glass turn light of lights of no area, light paths join those from
+    the camera. ``interior.LightTracing()`` with ``boundary=None`` is the interior term of its own.
+    """
+    method = integrator.interior
+    own = isinstance(method, interior.LightTracing) and integrator.boundary is None
+    if not isinstance(method, interior.FROM_LIGHTS) or own or wanted is None:
+        return None
+    if not (moves_vertices(config, wanted) or wanted.camera):
+        return None
+    caustics = has_caustics(config) or integrator.caustics
+    return replace(integrator, interior=interior.Replay(), caustics=caustics)
 
 
 def passes(
@@ -178,6 +205,25 @@ def shadow_rays_pass(
     from_lights = isinstance(integrator.interior, interior.FROM_LIGHTS)
     dark = integrator.caustics is False and not scene.builder.media and not from_lights
     return has_null_lobes(models) and not (dark and DELTA_LIGHTS & set(lights))
+
+
+def refuse_lights_behind_sheets(scene: Scene, names: list[str]) -> None:
+    """Raise if lights of no area shine through surfaces while something moves.
+
+    Raises:
+        ValueError: with the surface, the light and what to do.
+    """
+    shapes, emitters = scene.description.shapes, zip(scene.description.emitters, scene.builder.emitters, strict=True)
+    points = [e.path for e, record in emitters if record.kind in DELTA_LIGHTS]
+    if not points:
+        return
+    passed = next(s.path for s in shapes for b in s.bsdf.sides if model_of(b).has_null)
+    raise ValueError(
+        f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
+        f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
+        "light, or say PathIntegrator(caustics=False), which leaves this light out of images and derivatives alike, or "
+        "request what moves nothing (materials, textures, radiances) in a call of its own"
+    )
 
 
 def left_out(config: PathConfig) -> list[tuple[str, str, str]]:

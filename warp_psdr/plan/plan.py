@@ -20,7 +20,14 @@ from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan import choice, guiding, long_chains, media, needs, primitives, properties, steps, transient
 from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
-from warp_psdr.plan.light import joined, passes, shadow_rays_pass
+from warp_psdr.plan.light import (
+    NOT_FOLLOWED,
+    followed_by_camera,
+    joined,
+    passes,
+    refuse_lights_behind_sheets,
+    shadow_rays_pass,
+)
 from warp_psdr.plan.motion import motion
 from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
@@ -129,6 +136,10 @@ def decide(
     if config.rays.hidden:
         scene.hide_lights()
     wanted = _wanted(scene, config, names, lines) if names else None
+    by_camera = followed_by_camera(config, wanted, integrator)
+    if by_camera is not None:
+        decided = decide(scene, params, integrator=by_camera, sensor=sensor, names=names)
+        return replace(decided, lines=(NOT_FOLLOWED, *decided.lines))
     lines += media.describe(scene, config, wanted)
     properties.refuse(scene, config, names, sensor)
     needed = needs.needs(scene, config, wanted)
@@ -155,7 +166,7 @@ def decide(
     passed = config.through
     if passed and config.media is None and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
-        _check_lights(scene, names)
+        refuse_lights_behind_sheets(scene, names)
         config = replace(config, through=False)
     if has_null_lobes(config.surfaces.bsdfs):
         ends = "vertices move" if passed else "caustics=False leaves out light of lights of no area behind them"
@@ -366,25 +377,6 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
         media=None if integrator.shown else b.media_config,
         pulse=transient.pulse_of(times),
         shown=integrator.shown,
-    )
-
-
-def _check_lights(scene: Scene, names: list[str]) -> None:
-    """Raise if lights of no area shine through surfaces while something moves.
-
-    Raises:
-        ValueError: with the surface, the light and what to do.
-    """
-    shapes, emitters = scene.description.shapes, zip(scene.description.emitters, scene.builder.emitters, strict=True)
-    points = [e.path for e, record in emitters if record.kind in c.DELTA_LIGHTS]
-    if not points:
-        return
-    passed = next(s.path for s in shapes for b in s.bsdf.sides if model_of(b).has_null)
-    raise ValueError(
-        f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
-        f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
-        "light, or say PathIntegrator(caustics=False), which leaves this light out of images and derivatives alike, or "
-        "request what moves nothing (materials, textures, radiances) in a call of its own"
     )
 
 
