@@ -103,7 +103,7 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
     sample_light = make_light_sampler(config.lights) if has_lights else None
     next_event = make_next_event(config.surfaces, config.lights, differential) if has_lights else None
     sample_4d = make_sampler(config.sampler).sample_4d
-    through = config.through and has_lights
+    through = (config.through or config.points_pass) and has_lights
     passage = make_passage(config, differential) if through else None
     through_event = make_through_event(config.surfaces, config.lights) if through else None
 
@@ -150,13 +150,17 @@ def make_path_step(config: PathConfig, differential: bool, sparse: bool = False,
                         event = next_event(at, ls, light)
                         if event.traces_shadow_ray == 1:
                             if wp.static(through):
-                                most = most_crossings(state.depth, max_depth)
-                                passed = passage(scene, event.o, event.d, event.t_max, most)
-                                unoccluded = passed.blocked == 0
-                                if unoccluded and passed.crossings > 0:
-                                    event = through_event(at, ls, event, passed.probability, transmittance_of(passed))
-                                if passed.blocked == 2 and passed.crossings == MOST_CROSSINGS:
-                                    count_invalid(scene, sampler)
+                                if wp.static(config.points_pass) and ls.delta == 0:
+                                    unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
+                                else:
+                                    most = most_crossings(state.depth, max_depth)
+                                    passed = passage(scene, event.o, event.d, event.t_max, most)
+                                    unoccluded = passed.blocked == 0
+                                    if unoccluded and passed.crossings > 0:
+                                        product = transmittance_of(passed)
+                                        event = through_event(at, ls, event, passed.probability, product)
+                                    if passed.blocked == 2 and passed.crossings == MOST_CROSSINGS:
+                                        count_invalid(scene, sampler)
                             else:
                                 unoccluded = not visibility.occluded(scene, event.o, event.d, event.t_max)
         return vertex_of(state, hit, emission, unoccluded, event, scatters, scatter_sample), scatter_sample.after

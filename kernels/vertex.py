@@ -89,6 +89,8 @@ class PathConfig:
     noted: bool = False
     #: True: shadow rays pass surfaces by their null lobes, which keep a path's density (``transmittance.py``).
     through: bool = False
+    #: True: only those to point, spot and directional lights do, where vertices move: no path finds their light.
+    points_pass: bool = False
     #: True: of the camera's first surface only delta lobes count, for the rest is the light paths' (``light_path.py``).
     delta_first: bool = False
     #: True: of light paths those count that leave lights of no area, and that a mirror or glass turns before a smooth

@@ -64,6 +64,8 @@ THROUGH = changed(
     one_light=False,
     through=True,
 )
+#: Only that of lights of no area does, while vertices move.
+POINTS_PASS = replace(THROUGH, through=False, points_pass=True)
 #: Bidirectional paths, joined to the camera alone, and to its paths.
 LIT_GLASS = changed(ALL_LIGHTS, **materials("diffuse", "dielectric"))
 JOINED, JOINED_LIGHTS, JOINED_THROUGH = joined("light", SIMPLE, LIT_GLASS, THROUGH)

@@ -82,7 +82,7 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
     delta_lobes = interaction.scatter is not None
     has_lights = bool(config.lights.area or config.lights.others) and smooth_lobes
     radiance_of = make_light_sink(config.surfaces, config.lights, wanted, "forward")[0] if has_lights else None
-    through = config.through and has_lights
+    through = (config.through or config.points_pass) and has_lights
     transmittance = make_transmittance_sink(config, wanted, "forward") if through else None
     geometry = wanted.geometry
     weight_before, weight_of_light = make_contact_weights(
@@ -241,7 +241,9 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
                             w_t = wp.cw_mul(f, radiance)
                             for channel in range(3):
                                 w = w_t[channel] * axis_vec3(channel)
-                                d_dot[channel] += transmittance.accumulate(scene, tangents, segment, w)
+                                crossed = transmittance.accumulate(scene, tangents, segment, w)
+                                along = wp.dot(crossed.o, moving.vertex.x) + wp.dot(crossed.d, wo_world_dot)
+                                d_dot[channel] += crossed.dot + along
                 derivative += vertex.light_weight * wp.cw_mul(a_n, d_dot)
 
         # beta_n and the way to vertex n + 1.

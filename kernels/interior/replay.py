@@ -81,7 +81,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
             origin = camera_origin(scene, camera, sample)
             count = wp.int32(0)
             touched_requested = scene.requested_shapes[scene.requested_shapes.shape[0] - 1]
-            if wp.static(config.through):
+            if wp.static(config.through or config.points_pass):
                 touched_requested += 1  # shadow rays meet shapes as well
             state.touched_requested = touched_requested
             radiance = wp.vec3(0.0, 0.0, 0.0)

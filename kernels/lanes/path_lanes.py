@@ -121,9 +121,10 @@ def side_by_side(config: PathConfig) -> bool:
     """Whether a scene's paths are traced so: on the CPU, unless what they meet is written down.
 
     Not beside light paths, which leave the camera's few surfaces. Nor in media, which paths collide in at random. Nor
-    where shadow rays pass surfaces beside shapes without triangles. Properties of surfaces are no paths.
+    where shadow rays pass surfaces beside shapes without triangles, or to some lights alone. Properties of surfaces are
+    no paths.
     """
-    if config.media is not None or (config.through and config.surfaces.primitives):
+    if config.media is not None or config.points_pass or (config.through and config.surfaces.primitives):
         return False
     alone = config.noted or config.delta_first or config.connections or config.shown
     return config.rays.backend == "wide" and not alone

@@ -114,10 +114,10 @@ def test_both_modes_agree_on_an_index_of_refraction() -> None:
 @pytest.mark.parametrize(
     ("bsdf", "light", "name", "match"),
     [
-        ({"type": "null"}, {"type": "point"}, "card.to_world", "'veil'.*'lamp' is a light of no area"),
-        ({"type": "null"}, {"type": "point"}, "lamp.position", "'veil'.*'lamp' is a light of no area"),
-        ({"type": "null"}, {"type": "point"}, "camera.to_world", "'veil'.*'lamp' is a light of no area"),
-        ({"type": "thindielectric"}, spot(20.0, 15.0), "veil.to_world", "'veil'.*'lamp' is a light of no area"),
+        (
+            {"type": "mask", "opacity": {"type": "checkerboard"}, "bsdf": {"type": "diffuse"}}, {"type": "point"},
+            "lamp.position", "light of 'lamp' passes shape 'veil'.*a texture of 'veil' has steps.*bilinear",
+        ),
         (
             {"type": "mask", "bsdf": {"type": "plastic"}}, {"type": "constant"}, "card.to_world",
             r"'veil', a 'mask\(plastic\)', scatters smoothly, reflects as a mirror and lets light pass",
@@ -135,6 +135,43 @@ def test_what_moves_beside_a_null_lobe_is_refused_by_name(bsdf: dict, light: dic
     # What moves nothing is not.
     params.requires_grad_only("card.bsdf.reflectance.value")
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator(max_depth=3)).config.through
+
+
+@pytest.mark.parametrize(
+    ("bsdf", "light", "name"),
+    [
+        ({"type": "null"}, {"type": "point"}, "card.to_world"),
+        ({"type": "null"}, {"type": "point"}, "lamp.position"),
+        ({"type": "null"}, {"type": "directional"}, "camera.to_world"),
+        ({"type": "thindielectric"}, spot(20.0, 15.0), "veil.to_world"),
+    ],
+)
+def test_shadow_rays_to_lights_of_no_area_pass_null_lobes_while_something_moves(bsdf, light, name) -> None:
+    veil = {"type": "rectangle", "to_world": psdr.Transform.translate([0, 0, 0.1]), "bsdf": bsdf}
+    scene = scene_with(veil=veil, lamp=light)
+    plan = psdr.plan(scene, names=[name], integrator=psdr.PathIntegrator(max_depth=3))
+    assert plan.config.points_pass and not plan.config.through and plan.boundary is not None
+    assert "those of lights of no area" in str(plan)
+
+
+def test_where_shadow_rays_pass_no_null_lobe_the_error_says_what_does() -> None:
+    veil = {"type": "rectangle", "to_world": psdr.Transform.translate([0, 0, 0.1]), "bsdf": {"type": "null"}}
+    ball = {"type": "sphere", "radius": 0.1, "exact": True}
+    for scene, options, match in (
+        (scene_with(veil=veil, lamp={"type": "point"}, ball=ball), {}, "without triangles; give them triangles"),
+        (
+            scene_with(veil=veil, lamp={"type": "point"}),
+            {"boundary": psdr.boundary.WarpedArea()},
+            r"WarpedArea\(\) does not know it; use boundary.PathSpace\(\)",
+        ),
+        (
+            scene_with(veil={"type": "cube", "bsdf": {"type": "thindielectric"}}, lamp={"type": "point"}),
+            {},
+            "another part of it on either side of its creases",
+        ),
+    ):
+        with pytest.raises(ValueError, match=match):
+            psdr.plan(scene, names=["card.to_world"], integrator=psdr.PathIntegrator(max_depth=3, **options))
 
 
 @pytest.mark.parametrize("name", ["card.to_world", "lamp.position", "camera.to_world"])

@@ -21,7 +21,6 @@ from warp_psdr.plan.motion import motion, moves_vertices
 from warp_psdr.plan.needs import unknown
 from warp_psdr.rows.replay import MOST_KEPT, Kept, keep_blocks
 from warp_psdr.scene.layout import LIGHT_POSE
-from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.behind_glass import lights_behind_glass
 
 if TYPE_CHECKING:
@@ -205,25 +204,6 @@ def shadow_rays_pass(
     from_lights = isinstance(integrator.interior, interior.FROM_LIGHTS)
     dark = integrator.caustics is False and not scene.builder.media and not from_lights
     return has_null_lobes(models) and not (dark and DELTA_LIGHTS & set(lights))
-
-
-def refuse_lights_behind_sheets(scene: Scene, names: list[str]) -> None:
-    """Raise if lights of no area shine through surfaces while something moves.
-
-    Raises:
-        ValueError: with the surface, the light and what to do.
-    """
-    shapes, emitters = scene.description.shapes, zip(scene.description.emitters, scene.builder.emitters, strict=True)
-    points = [e.path for e, record in emitters if record.kind in DELTA_LIGHTS]
-    if not points:
-        return
-    passed = next(s.path for s in shapes for b in s.bsdf.sides if model_of(b).has_null)
-    raise ValueError(
-        f"derivatives by {', '.join(names)}: path vertices or shadows move, light passes shape {passed!r} without "
-        f"being turned, and {points[0]!r} is a light of no area, whose light no path finds behind it; make it an area "
-        "light, or say PathIntegrator(caustics=False), which leaves this light out of images and derivatives alike, or "
-        "request what moves nothing (materials, textures, radiances) in a call of its own"
-    )
 
 
 def left_out(config: PathConfig) -> list[tuple[str, str, str]]:

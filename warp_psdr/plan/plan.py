@@ -17,7 +17,7 @@ from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, Surface
 from warp_psdr.options import interior
 from warp_psdr.options.boundary import Connecting, FilmEdges, Method, PathSpace
 from warp_psdr.options.integrator import PathIntegrator
-from warp_psdr.plan import choice, guiding, long_chains, media, needs, primitives, properties, steps, transient
+from warp_psdr.plan import choice, guiding, long_chains, media, needs, primitives, properties, sheets, steps, transient
 from warp_psdr.plan.boundary import choose, edge_of_light, refuse_own_shape, sliding_heights
 from warp_psdr.plan.integrator import Integrator, integrator_of
 from warp_psdr.plan.light import (
@@ -25,7 +25,6 @@ from warp_psdr.plan.light import (
     followed_by_camera,
     joined,
     passes,
-    refuse_lights_behind_sheets,
     shadow_rays_pass,
 )
 from warp_psdr.plan.motion import motion
@@ -165,12 +164,15 @@ def decide(
             )
     passed = config.through
     if passed and config.media is None and wanted is not None and (wanted.geometry or moving):
-        # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own.
-        refuse_lights_behind_sheets(scene, names)
-        config = replace(config, through=False)
+        # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own. To lights of
+        # no area, which no path hits, shadow rays pass them.
+        config = replace(config, through=False, points_pass=sheets.passes(scene, config, integrator, method, names))
+        wanted = replace(wanted, shapes=wanted.shapes or config.points_pass)
     if has_null_lobes(config.surfaces.bsdfs):
         ends = "vertices move" if passed else "caustics=False leaves out light of lights of no area behind them"
         said = ("pass surfaces", "by their null lobes") if config.through else ("end at surfaces", ends)
+        if config.points_pass:
+            said = "pass surfaces", "those of lights of no area, by their null lobes; paths find all other lights"
         lines.append(("shadow rays", *said))
     still = wanted is None or not (wanted.geometry or wanted.lights or moving)
     if still and not config.shown and config.surfaces.smooth and scene.shades_flat:

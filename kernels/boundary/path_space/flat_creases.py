@@ -58,9 +58,10 @@ class Difference:
 def make_flat_creases_kernel(config: PathConfig, role: str, camera_moves: bool):
     """Return the kernel: one thread a sample (arguments as in ``secondary.py``).
 
-    Before a transient film, where the light of either face has lengths of its own, it is that of all other edges.
+    Before a transient film, where the light of either face has lengths of its own, and where shadow rays pass surfaces,
+    it is that of all other edges.
     """
-    if config.pulse:
+    if config.pulse or config.points_pass:
         return make_primary_kernel(config, role, camera_moves)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     interaction = make_interaction(config.surfaces, config.lights)

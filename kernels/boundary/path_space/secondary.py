@@ -25,6 +25,7 @@ from warp_psdr.kernels.boundary.local_form import (
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
+from warp_psdr.kernels.boundary.path_space.sheet_shadows import make_sheet_segment, make_sheet_source
 from warp_psdr.kernels.boundary.path_space.timed_secondary import make_timed_secondary_kernel
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
 from warp_psdr.kernels.constants import EMITTER_DIRECTIONAL, EMITTER_POINT, FAR
@@ -279,6 +280,8 @@ def make_secondary_kernel(
         slots = SLOT_EDGE, SLOT_DIRECTION
         return make_timed_secondary_kernel(config, role, camera_moves, slots, segment_at, accumulate_segment)
     source = make_source(config, True)
+    sheet_segment = make_sheet_segment(config) if config.points_pass else None
+    source = make_sheet_source(config, source) if config.points_pass else source
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source)
     sample_aim, density, place = make_techniques(config.lights, guided)
@@ -324,7 +327,14 @@ def make_secondary_kernel(
         direction = aim.direction
         if direction.valid == 0:
             return
-        s = segment_at(scene, edges, moving, point, direction, direct)
+        s = Segment()
+        if wp.static(sheet_segment is None):
+            s = segment_at(scene, edges, moving, point, direction, direct)
+        else:
+            if direction.light >= 0:
+                s = sheet_segment(scene, edges, moving, point, direction, sampler)
+            else:
+                s = segment_at(scene, edges, moving, point, direction, direct)
         if s.valid == 0:
             return
         note_place(scene, NOTE_EDGE, point.edge, point.s, 0.0, point.x, direction.w, s.radiance)

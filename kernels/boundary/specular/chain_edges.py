@@ -14,6 +14,7 @@ from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics
 from warp_psdr.kernels.boundary.specular.chain_outlines import begins_beside, make_chain_outline, make_one_sheet
 from warp_psdr.kernels.boundary.specular.chain_touch import JUMPS, ChainOutline
 from warp_psdr.kernels.boundary.specular.ray_differential import PointDifferential, RayDifferential
+from warp_psdr.kernels.boundary.specular.sheet_crossing import make_sheet_end
 from warp_psdr.kernels.boundary.specular.specular_chain import Block, Link, make_lit
 from warp_psdr.kernels.boundary.specular.triangle_borders import (
     RIM_EPSILONS,
@@ -358,6 +359,7 @@ def make_shadow_crossing(config: PathConfig):
     lit = make_lit(config)
     if lit is None:
         return None
+    sheet_end = make_sheet_end(config) if config.points_pass else None
     outline_at = make_chain_outline(config.surfaces.primitives)
     sample = make_delta_sample(config.lights.others)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
@@ -375,17 +377,27 @@ def make_shadow_crossing(config: PathConfig):
         last: wp.int32,
     ) -> Crossing:
         r = Crossing()
-        lit_low = lit(scene, p.x, p.ng, light)
-        if lit_low == lit(scene, q.x, q.ng, light):
-            return r
+        if wp.static(sheet_end is None):
+            lit_low = lit(scene, p.x, p.ng, light)
+            if lit_low == lit(scene, q.x, q.ng, light):
+                return r
         # Where light meets the back of one of two faces: at a crease, see above.
         if p.face != q.face and smooth_between(edges, tables, p.face, q.face) >= 0:
             return r
-        dark_x = wp.where(lit_low, q.x, p.x)
-        dark_ng = wp.where(lit_low, q.ng, p.ng)
-        ls = sample(scene, scene.emitters[light], dark_x, wp.vec2(0.5, 0.5))
-        o = step_beside(dark_x, dark_ng, ls.wi, scene.ray_epsilon)
-        hit = visibility.closest(scene, o, ls.wi, ls.distance)
+        if wp.static(sheet_end is None):
+            dark_x = wp.where(lit_low, q.x, p.x)
+            dark_ng = wp.where(lit_low, q.ng, p.ng)
+            ls = sample(scene, scene.emitters[light], dark_x, wp.vec2(0.5, 0.5))
+            o = step_beside(dark_x, dark_ng, ls.wi, scene.ray_epsilon)
+            hit = visibility.closest(scene, o, ls.wi, ls.distance)
+        else:
+            end = sheet_end(scene, edges, tables, p, q, light)
+            if end.found == 0:
+                return r
+            dark_x = end.x
+            ls = end.ls
+            o = end.o
+            hit = end.hit
         # What is met at once is what the surface runs through.
         if hit.face < 0 or hit.t <= scene.ray_epsilon:
             return r

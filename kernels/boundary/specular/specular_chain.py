@@ -17,6 +17,7 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.boundary.detector import make_following
+from warp_psdr.kernels.boundary.shadow_walk import make_shadow_walk
 from warp_psdr.kernels.boundary.specular.chain_patches import make_patch
 from warp_psdr.kernels.bsdf.dispatch import has_null_lobes
 from warp_psdr.kernels.constants import (
@@ -37,6 +38,7 @@ from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.texture.steps import StepTextures, cell_name
+from warp_psdr.kernels.transmittance import most_crossings
 from warp_psdr.kernels.vertex import PathConfig, path_from
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -273,6 +275,36 @@ def make_lit(config: PathConfig):
 
 
 @functools.cache
+def make_reach(config: PathConfig):
+    """Return ``reach(scene, group, x, ng, light, most) -> uint32``: a name of what a light passes on its way to x.
+
+    0: it is blocked, or crosses more than ``most`` surfaces. None: no such light passes anything.
+    """
+    sample = make_delta_sample(config.lights.others)
+    if sample is None or not config.points_pass:
+        return None
+    start, onward = make_shadow_walk(config)
+
+    @wp.func
+    def reach(
+        scene: Scene, group: wp.array(dtype=wp.int32), x: wp.vec3, ng: wp.vec3, light: wp.int32, most: wp.int32
+    ) -> wp.uint32:
+        h = wp.uint32(1)
+        ls = sample(scene, scene.emitters[light], x, wp.vec2(0.5, 0.5))
+        walk = start(scene, x, ng, ls)
+        count = wp.int32(0)
+        while walk.hit.face >= 0:
+            count += 1
+            if not walk.passes or count > most:
+                return wp.uint32(0)
+            h = hash_combine(h, group[walk.hit.face])
+            walk = onward(scene, walk, ls.wi)
+        return h
+
+    return reach
+
+
+@functools.cache
 def make_identity(config: PathConfig):
     """Return ``identity(scene, camera, group, interpolated, steps, block, s, max_depth, links) -> uint32``.
 
@@ -283,7 +315,7 @@ def make_identity(config: PathConfig):
     """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
-    lit = make_lit(config)
+    lit, reach = make_lit(config), make_reach(config)
     patch = make_patch(config.surfaces.primitives)
 
     @wp.func
@@ -325,7 +357,14 @@ def make_identity(config: PathConfig):
                     h = hash_combine(h, link.facing)
                 if interpolated[link.face] == 1 and link.kind == MEETS_DELTA:
                     h = hash_combine(h, link.leaving)
-                if wp.static(lit is not None):
+                if wp.static(reach is not None):
+                    if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
+                        for k in range(scene.emitters.shape[0]):
+                            if is_delta_light(scene.emitters[k].kind):
+                                passed = most_crossings(block.depth + i, max_depth)
+                                name = reach(scene, group, link.x, link.ng, k, passed)
+                                h = hash_combine(h, wp.int32(name))
+                elif wp.static(lit is not None):
                     if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
                             if is_delta_light(scene.emitters[k].kind):

@@ -103,7 +103,8 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
     materials = any(wanted.material) or wanted.to_uv or aims
     light_terms = materials or wanted.radiance or bool(wanted.lights)
     area_radiance = bool(config.lights.area) and (wanted.radiance or wanted.to_uv or wanted.texcoords)
-    transmittance = make_transmittance_sink(config, wanted, role) if config.through and has_lights else None
+    through = (config.through or config.points_pass) and has_lights
+    transmittance = make_transmittance_sink(config, wanted, role) if through else None
     accumulate_lights = has_lights and (geometry or area_radiance or bool(wanted.lights))
 
     @wp.func
@@ -182,16 +183,19 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                     wo = enter_frame(frame, vertex.light_wi)
                     radiance = radiance_of(scene, vertex, surface.x)
                     a_direct = a_n
+                    a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     if wp.static(transmittance is not None):
                         segment = transmittance.segment(scene, at, vertex)
                         if wp.static(materials):
                             if segment.passage.crossings > 0:
                                 w_t = vertex.light_weight * wp.cw_mul(a_n, radiance)
                                 w_t = wp.cw_mul(w_t, interaction.eval(at, wo))
-                                total += transmittance.accumulate(scene, target, segment, w_t)
+                                crossed = transmittance.accumulate(scene, target, segment, w_t)
+                                total += crossed.dot
+                                adjoint.x += crossed.o
+                                a_wo_world = crossed.d
                         a_direct = wp.cw_mul(a_n, segment.transmittance)
                     w_f = vertex.light_weight * wp.cw_mul(a_direct, radiance)
-                    a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     chi = wp.float32(1.0)
                     if wp.static(materials):
                         fa = interaction.eval_vjp(at, wo, w_f)
@@ -205,7 +209,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
                             a_frame_n += turned.n
                             a_tangent += turned.tangent
                             a_wi_world += turned.wi
-                            a_wo_world = turned.wo
+                            a_wo_world += turned.wo
                     if wp.static(accumulate_lights):
                         f = interaction.eval(at, wo)
                         a_x, dot = accumulate_light(

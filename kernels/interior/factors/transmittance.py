@@ -1,5 +1,8 @@
 """The derivative of a shadow ray's transmittance: the segment is walked again, dT = sum_i (T / T_i) dT_i.
 
+Where vertices move, the segment is straight between its ends, and its crossings slide over their surfaces: they are
+where an attached ray meets these.
+
 Derivation: ``docs/theory/interior.md#null-lobes``.
 """
 
@@ -13,8 +16,10 @@ from warp_psdr.kernels.constants import FAR, LOBE_NULL
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.factors.sinks import make_material_sink
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.scattering import shadow_ray
 from warp_psdr.kernels.step import step_off_triangle
 from warp_psdr.kernels.structs import LightSample, Scene
@@ -40,12 +45,21 @@ class LightSegment:
     passage: Passage
 
 
+@wp.struct
+class CrossedAdjoint:
+    """The adjoints of a segment's start and of its direction, and what the sinks returned."""
+
+    o: wp.vec3
+    d: wp.vec3
+    dot: wp.float32
+
+
 class TransmittanceSink(NamedTuple):
     """Functions of the segment to a vertex's light; ``at`` is the interaction at the vertex.
 
     Attributes:
         segment: ``(scene, at, vertex) -> LightSegment``.
-        accumulate: ``(scene, target, segment, w) -> float32`` scatters ``w``, the adjoint of the transmittance.
+        accumulate: ``(scene, target, segment, w) -> CrossedAdjoint`` scatters ``w``, the adjoint of the transmittance.
     """
 
     segment: wp.Function
@@ -61,6 +75,20 @@ def make_transmittance_sink(config: PathConfig, wanted: GradientRequest, role: s
     passage = make_passage(config, True)
     delta_sample = make_delta_sample(config.lights.others)
     accumulate_material = make_material_sink(config.surfaces, wanted, role)
+    moves = wanted.geometry
+    frame_vjp = make_frame_vjp(config.surfaces.tangent)
+    accumulate_vertex = None
+    if moves:
+        accumulate_vertex = make_adjoint_sink(
+            role,
+            config.surfaces.smooth,
+            config.surfaces.flat,
+            config.surfaces.uv,
+            config.surfaces.tangent,
+            wanted.texcoords,
+            True,
+            config.surfaces.primitives,
+        )
 
     @wp.func
     def segment_to_light(scene: Scene, at: record, vertex: PathVertex) -> LightSegment:
@@ -88,9 +116,9 @@ def make_transmittance_sink(config: PathConfig, wanted: GradientRequest, role: s
     @wp.func
     def accumulate_transmittance(
         scene: Scene, target: wp.array(dtype=wp.float32), segment: LightSegment, w: wp.vec3
-    ) -> wp.float32:
+    ) -> CrossedAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        total = wp.float32(0.0)
+        r = CrossedAdjoint()
         start = segment.o
         count = wp.where(segment.passage.blocked == 0, segment.passage.crossings, 0)
         i = wp.int32(0)
@@ -103,12 +131,22 @@ def make_transmittance_sink(config: PathConfig, wanted: GradientRequest, role: s
                 surface = interaction.surface(scene, hit.face, hit.u, hit.v)
                 at = interaction.on(scene, surface, hit.face, hit.u, hit.v, segment.d)
                 others = other_factors(segment.passage, interaction.scatter(at, LOBE_NULL).value)
-                fa = interaction.scatter_vjp(at, LOBE_NULL, wp.cw_mul(w, others), wp.vec3(0.0, 0.0, 0.0))
-                _adjoint, dot = accumulate_material(
+                zero = wp.vec3(0.0, 0.0, 0.0)
+                fa = interaction.scatter_vjp(at, LOBE_NULL, wp.cw_mul(w, others), zero)
+                adjoint, dot = accumulate_material(
                     scene, target, at.slots, hit.face, hit.u, hit.v, surface.uv, fa.material, VertexAdjoint()
                 )
-                total += dot
+                r.dot += dot
+                if wp.static(moves):
+                    turned = frame_vjp(at.frame, surface.tangent, -segment.d, -segment.d, fa.wi, zero)
+                    adjoint.n = at.frame.side * turned.n
+                    if wp.static(config.surfaces.tangent):
+                        adjoint.tangent = turned.tangent
+                    met = accumulate_vertex(scene, target, hit.face, hit.u, hit.v, adjoint, True, segment.o, segment.d)
+                    r.dot += met.dot
+                    r.o += met.o
+                    r.d += met.d - turned.wi
                 start = interaction.offset(at, segment.d)
-        return total
+        return r
 
     return TransmittanceSink(segment_to_light, accumulate_transmittance)
