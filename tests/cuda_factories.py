@@ -370,7 +370,6 @@ FACTORIES = {
     ],
     "boundary.path_space.media_sliding_steps.make_media_sliding_steps_kernel": [
         ("reverse", (MEDIA, "reverse", True), SLOW),
-        ("forward", (MEDIA, "forward", False), SLOW),
     ],
     "boundary.path_space.light_frame.make_light_frame_kernel": [
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),

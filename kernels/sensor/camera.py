@@ -242,6 +242,22 @@ def make_camera_origin(kind: int):
 
 
 @functools.cache
+def make_eye(kind: int):
+    """Return ``eye_of(scene, camera, x) -> vec3``: from where the camera looks at x; of parallel rays, at its plane."""
+
+    @wp.func
+    def eye_of(scene: Scene, camera: Camera, x: wp.vec3) -> wp.vec3:
+        m = load_mat44(scene.values, camera.to_world)
+        o = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
+        if wp.static(kind in PARALLEL_CAMERAS):
+            forward = wp.normalize(wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
+            return x - wp.dot(x - o, forward) * forward
+        return o
+
+    return eye_of
+
+
+@functools.cache
 def make_camera_ray(kind: int):
     """Return ``(camera_ray, camera_origin)``, both of ``(scene, camera, sample)``; ``camera_origin`` is the ray's o."""
     view, ray_in = make_camera_rays(kind)

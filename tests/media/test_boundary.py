@@ -45,7 +45,7 @@ def curtain(size=SIZE, **lights):
         "fog": cube(FOG, turn=15.0),
         "square": {"type": "rectangle", "to_world": POSE, "bsdf": PAINT},
     }
-    return psdr.load_dict(whole(**parts, **(lights or {"bulb": point([0.3, 0.2, 2.2], (6.0, 5.0, 4.0))})))
+    return psdr.load_dict(whole(**(parts | (lights or {"bulb": point([0.3, 0.2, 2.2], (6.0, 5.0, 4.0))}))))
 
 
 def derivatives(scene, names, adjoint, boundary="auto", spp=512, depth=2, batches=BATCHES):
@@ -105,6 +105,10 @@ LIGHTS = {
     "sun": {"sun": {"type": "directional", "direction": [-0.2, -0.3, -1.0], "irradiance": rgb(1.0, 2.0, 3.0)}},
     "sky": {"sky": sky(1.0, 0.8, 0.6)},
 }
+VIEW = camera([4, 1.0, 0.6], [0, 0, 0], 38.0, FINE)
+LIGHTS["area, parallel"] = LIGHTS["area"] | {
+    "sensor": {"type": "orthographic", "to_world": VIEW["to_world"] @ T.scale([1.4, 1.4, 1.0]), "film": VIEW["film"]}
+}
 #: Light, depth, direction.
 ROWS = [
     ("point", 2, NORMAL, "along its normal"),
@@ -112,6 +116,7 @@ ROWS = [
     ("area", 2, NORMAL, "along its normal"),
     ("area", 2, aim(0, 1, 0), "turns"),
     ("area", 2, widen, "grows"),
+    ("area, parallel", 2, NORMAL, "along its normal"),
     ("sky", 3, widen, "grows"),
 ]
 

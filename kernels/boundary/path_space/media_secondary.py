@@ -23,7 +23,6 @@ from warp_psdr.kernels.boundary.path_space.media_transport import make_media_tra
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink, moves
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.coefficients import exp_minus
@@ -33,6 +32,7 @@ from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
+from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -186,6 +186,7 @@ def make_media_secondary_kernel(
         ends=0 if emissive else 3,
     )
     accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
+    eye_of = make_eye(config.camera)
     sample_aim, density, place = make_techniques(config.lights, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d
@@ -226,7 +227,7 @@ def make_media_secondary_kernel(
         point.sample = number
         if aim.direction.valid == 0:
             return
-        eye = load_column(scene.values, camera.to_world, 3)
+        eye = eye_of(scene, camera, point.x)
         s, ahead = segment_at(scene, camera, edges, moving, sampler, point, aim.direction, eye)
         if s.valid == 0:
             return

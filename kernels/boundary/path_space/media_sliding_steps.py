@@ -17,12 +17,12 @@ from warp_psdr.kernels.boundary.media_radiance import make_media_incident
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
 from warp_psdr.kernels.boundary.path_space.sliding_steps import beside_step, make_slide_draw
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import Sampler, sampler_at
+from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.texture.steps import make_slide_sink
 from warp_psdr.kernels.vertex import PathConfig
@@ -60,6 +60,7 @@ def make_media_sliding_steps_kernel(config: PathConfig, role: str, camera_moves:
     )
     accumulate_slide = make_slide_sink(role)
     draw_slide = make_slide_draw(config.sampler)
+    eye_of = make_eye(config.camera)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_sliding_steps(
@@ -79,7 +80,7 @@ def make_media_sliding_steps_kernel(config: PathConfig, role: str, camera_moves:
         cosine = s.t1
         if cosine <= 0.0:
             return
-        eye = load_column(scene.values, camera.to_world, 3)
+        eye = eye_of(scene, camera, start)
         medium = medium_at(scene, eye, start, camera.medium)
         first = first_vertex(scene, sampler, start, -s.w, eye, medium)
         if first.alive == 0:

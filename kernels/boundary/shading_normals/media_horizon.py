@@ -17,12 +17,12 @@ from warp_psdr.kernels.boundary.path_space.media_walk import MediaWalk
 from warp_psdr.kernels.boundary.shading_normals.geometric_horizon import make_horizon_segment, make_horizon_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
-from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import Sampler, sampler_at
+from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.step import leaving_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -58,6 +58,7 @@ def make_media_horizon_kernel(config: PathConfig, role: str, camera_moves: bool,
     horizon_segment = make_horizon_segment(config)
     accumulate_geometric_horizon = make_horizon_sink(config.surfaces, role)
     line, medium_at = make_line(config)
+    eye_of = make_eye(config.camera)
     _first_vertex, transport = make_media_transport(
         config, role, camera_moves, grids_move, make_media_side(config), ends=2
     )
@@ -81,7 +82,7 @@ def make_media_horizon_kernel(config: PathConfig, role: str, camera_moves: bool,
         s, normal, scale = horizon_segment(scene, face_cdf, faces, number, job.samples, sampler)
         if s.valid == 0:
             return
-        eye = load_column(scene.values, camera.to_world, 3)
+        eye = eye_of(scene, camera, s.source)
         medium = medium_at(scene, eye, s.source, camera.medium)
         ahead = line(scene, sampler, -1, s.source, s.w, FAR, medium, 1)
         if ahead.lost:

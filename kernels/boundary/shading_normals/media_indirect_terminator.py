@@ -20,12 +20,12 @@ from warp_psdr.kernels.boundary.shading_normals.indirect_terminator import (
     make_turned_sink,
 )
 from warp_psdr.kernels.boundary.transport import Segment
-from warp_psdr.kernels.emitter.spot import load_column
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import Sampler, sampler_at
+from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.step import leaving_step, passing_step
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
@@ -66,6 +66,7 @@ def make_media_indirect_terminator_kernel(config: PathConfig, role: str, camera_
     turned_segment = make_turned_segment(config)
     accumulate_terminator = make_turned_sink(config.surfaces, role)
     _line, medium_at = make_line(config)
+    eye_of = make_eye(config.camera)
     first_vertex, transport = make_media_transport(
         config, role, camera_moves, grids_move, make_media_jump(config), least=2, ends=3
     )
@@ -89,7 +90,7 @@ def make_media_indirect_terminator_kernel(config: PathConfig, role: str, camera_
         s, start, scale = turned_segment(scene, face_cdf, faces, number, job.samples, sampler)
         if s.valid == 0:
             return
-        eye = load_column(scene.values, camera.to_world, 3)
+        eye = eye_of(scene, camera, start)
         medium = medium_at(scene, eye, start, camera.medium)
         first = first_vertex(scene, sampler, start, -s.w, eye, medium)
         s.t1 = wp.dot(s.x - first.x, s.w)
