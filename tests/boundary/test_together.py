@@ -2,12 +2,12 @@
 
 import pytest
 
+import warp_psdr as psdr
+
 from .measure import REMAINDER, STANDARD_ERRORS
 from .random_scenes import LARGEST_ERROR, measure
 from .scenes import load
 from .together import PAIRS, cases
-
-import warp_psdr as psdr
 
 #: Pairs whose derivatives a few samples tell to three hundredths.
 MEASURED = [("checkers", "smoke"), ("mirror", "grid"), ("leaf", "sun"), ("glass", "sky"), ("mirror", "smoke")]
