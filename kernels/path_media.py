@@ -253,7 +253,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     emitted_in_grid = make_grid_emission(config.media) if emissive and grids else None
     collide = make_collision(config, differential)
     passage = make_media_passage(config, differential)
-    emission_hit = make_emission_hit(config.lights, config.through)
+    emission_hit = make_emission_hit(config.lights, has_null_lobes(config.surfaces.bsdfs))
     scatter = make_scatter(config, differential)
     has_smooth = interaction.bsdf.has_smooth
     has_lights = bool(config.lights.area or config.lights.others)
@@ -297,10 +297,9 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             after.path.t_max = FAR
             after.path.throughput = path.throughput
             after.path.eta = path.eta
-            if wp.static(config.through):
-                # As ``make_scatter`` has it.
-                after.path.pdf = path.pdf
-                after.path.seen.t = path.seen.t + wp.length(at.x - path.o)
+            # As ``make_scatter`` has it.
+            after.path.pdf = path.pdf
+            after.path.seen.t = path.seen.t + wp.length(at.x - path.o)
         r = vertex
         r.surface = vertex_of(path, hit, EmissionHit(), False, NextEvent(), True, scatter_sample)
         return r, after

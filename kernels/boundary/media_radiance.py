@@ -51,7 +51,8 @@ def make_media_radiance(config: PathConfig):
         while state.path.alive == 1:
             step, state = media_step(scene, sampler, state, max_depth, rr_depth)
             r.radiance += radiance_of_step(step)
-            if straight and (step.collides or step.surface.lobe != LOBE_NULL):
+            passes = not step.collides and step.surface.lobe == LOBE_NULL and is_interface(scene, step.surface.face)
+            if straight and not passes:
                 # The path met the surface, or turned in front of it.
                 straight = wp.bool(False)
                 hit = RayHit()
@@ -99,6 +100,7 @@ def make_media_incident(config: PathConfig, whole: bool = False):
     the path has turned in front of it. ``whole``: with that.
     """
     media_step = make_media_step(config, False)
+    is_interface, _behind = make_interface(config)
     emitted = make_interaction(config.surfaces, config.lights).emitted
     emissive = config.media is not None and config.media.emissive
 
@@ -137,7 +139,8 @@ def make_media_incident(config: PathConfig, whole: bool = False):
             if wp.static(not whole) and not turned:
                 value -= own
                 own = wp.vec3(0.0, 0.0, 0.0)
-            turned = turned or step.collides or vertex.lobe != LOBE_NULL
+            passes = not step.collides and vertex.lobe == LOBE_NULL and is_interface(scene, vertex.face)
+            turned = turned or not passes
             if max_depth >= 0 and r.cut < ROW_COUNT:
                 last = r.total + own
                 if wp.static(emissive):

@@ -166,6 +166,11 @@ def has_delta_lobes(keys: Iterable[str]) -> bool:
     return any(model.has_delta for model in models_of(keys))
 
 
+def has_chain_lobes(keys: Iterable[str], among_media: bool) -> bool:
+    """Whether paths have vertices with a lobe of a single direction: a surface that is not there is none in media."""
+    return any(model.has_delta and not (among_media and model is NULL) for model in models_of(keys))
+
+
 def has_glossy_lobes(keys: Iterable[str]) -> bool:
     """Whether any of the models scatters at microfacets."""
     return any(model.glossy for model in models_of(keys))

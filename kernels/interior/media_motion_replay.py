@@ -53,7 +53,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     media_step = make_media_step(config, True, config.media.grids)
     emissive = config.media.emissive
     moved_sweep, finish = make_moved_sweep(config, wanted, role)
-    _is_interface, behind_of = make_interface(config)
+    is_interface, behind_of = make_interface(config)
     channels = 3 if role == "forward" else 1
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
@@ -123,7 +123,8 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     kept.v = hit.v
                     record[count] = kept
                     count += 1
-                    if vertex.collides or vertex.surface.lobe != LOBE_NULL:
+                    passes = vertex.surface.lobe == LOBE_NULL and is_interface(scene, vertex.surface.face)
+                    if vertex.collides or not passes:
                         state.start = after.path.o
                     state.media = after
                     if tracing:

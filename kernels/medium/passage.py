@@ -137,8 +137,8 @@ def make_media_passage(config: PathConfig, differential: bool):
 
         return media_segment
 
-    # Masks and thin glass, which have a weight.
-    weighs = any(model.has_null and model is not NULL for model in models_of(config.surfaces.bsdfs))
+    # Masks and thin glass, which have a weight; unless they are vertices, which block.
+    weighs = config.through and any(model.has_null and model is not NULL for model in models_of(config.surfaces.bsdfs))
 
     @wp.func
     def media_passage(

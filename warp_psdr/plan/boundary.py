@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
 from warp_psdr.kernels.emitter.spot import MIN_FALLOFF
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace
@@ -107,8 +107,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], method: Metho
     """Say why the boundary term cannot be estimated; empty: it can."""
     if config.shown:  # of what lights, materials and textures do nothing is seen
         return _in_many_faces(scene, names)
-    # Beside media no mirror or glass is, and null lobes turn no ray (``plan/media.py``).
-    if has_delta_lobes(config.surfaces.bsdfs) and config.media is None:
+    if has_chain_lobes(config.surfaces.bsdfs, config.media is not None):
         crowded = [
             (shape.path, key_of(bsdf.model, bsdf.variant, bsdf.children))
             for shape in scene.description.shapes

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import models_of
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, models_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
@@ -81,6 +81,11 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
     return lines
 
 
+def weighs(config: PathConfig) -> bool:
+    """Whether light passes masks or thin glass, which weigh it, besides surfaces that are not there."""
+    return any(model.has_null and model is not NULL for model in models_of(config.surfaces.bsdfs))
+
+
 def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> str:
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
     if config.media is None or wanted is None or not moves_in_media(wanted):
@@ -93,12 +98,6 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
     if wanted.bends:
         return "turned rays are not followed through media; request coefficients of media, reflectances or radiances"
-    turning = [model.plugin for model in models_of(config.surfaces.bsdfs) if model.has_delta and model is not NULL]
-    if turning:
-        return (
-            f"what moves beside media is not followed through {turning[0]!r}; make mirrors and glass rough, and use "
-            "meshes with holes in place of masks and thin glass"
-        )
     if c.EMITTER_DIRECTIONAL_AREA in config.lights.others:
         return "what moves is not followed to a 'directionalarea' beside media; use a 'directional' or an 'area' light"
     for shape in scene.description.shapes:
@@ -147,6 +146,14 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
         if bent.any():
             shape = scene.description.shapes[scene.builder.face_shape[np.flatnonzero(bent)[0]]]
             return f"media that emit light do not know interpolated normals, as {shape.path!r} has; give face_normals"
+    points = c.DELTA_LIGHTS & set(config.lights.others)
+    if points and has_chain_lobes(config.surfaces.bsdfs, True):
+        lights = zip(scene.description.emitters, scene.builder.emitters, strict=True)
+        light = next(e.path for e, record in lights if record.kind in points)
+        return (
+            f"{light!r} is a light of no area, whose hard shadows in media are not searched for through mirrors, glass "
+            "and masks; make it an area light"
+        )
     met = pierced(scene, set(moves.shapes))
     return f"{met}, along a curve that moves; move them apart, by a little" if met else ""
 

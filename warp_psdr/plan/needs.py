@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of, passing
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_null_lobes, models_of, passing
 from warp_psdr.kernels.phase.microflakes import has_flakes
 from warp_psdr.options import boundary, interior
 from warp_psdr.options.guiding import Grid
@@ -34,9 +34,11 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
     """Return the words that a scene and a request have, in the order in which errors look at them."""
     media, lights = config.media, {*config.lights.others, *([c.EMITTER_AREA] if config.lights.area else [])}
     phases = set(media.phases) if media is not None else set()
-    delta = media is None and has_delta_lobes(config.surfaces.bsdfs)  # beside media ``plan/media.py`` looks at lobes
     geometry, textures = wanted is not None and wanted.geometry, [] if config.shown else scene.builder.textures
     moving_media = media is not None and wanted is not None and moves_in_media(wanted)
+    # Images and derivatives of what rests know all lobes beside media.
+    looks = media is None or moving_media
+    delta = looks and has_chain_lobes(config.surfaces.bsdfs, media is not None)
     rough, solids = passing(config.surfaces.bsdfs), primitives.words_of(scene)
     told = {
         **solids,

@@ -10,8 +10,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes, has_null_lobes, models_of
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
+from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, SurfaceConfig
 from warp_psdr.options import interior
@@ -163,7 +164,8 @@ def decide(
                 config, surfaces=replace(config.surfaces, bsdfs=tuple(map(explored, config.surfaces.bsdfs)))
             )
     passed = config.through
-    if passed and config.media is None and wanted is not None and (wanted.geometry or moving):
+    vertices = has_null_lobes(config.surfaces.bsdfs) if config.media is None else media.weighs(config)
+    if passed and vertices and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own. To lights of
         # no area, which no path hits, shadow rays pass them.
         config = replace(config, through=False, points_pass=sheets.passes(scene, config, integrator, method, names))
@@ -282,7 +284,7 @@ def _boundary(
         lines.append(
             ("boundary term", "in media: volume vertices ride as fractions of rays", "interfaces are no edges")
         )
-    elif has_delta_lobes(config.surfaces.bsdfs):
+    if has_chain_lobes(config.surfaces.bsdfs, config.media is not None):
         searched = "through mirrors and glass: line search"
         lines.append(("boundary term", searched, "no edge can be connected to the camera"))
         lines += long_chains.describe(scene, sensor, integrator.max_depth)

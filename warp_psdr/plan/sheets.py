@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
+from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.options.interior import Replay
 from warp_psdr.scene.materials.bsdfs import model_of
@@ -44,7 +45,9 @@ def passes(
         return False
     reason = _unknown(scene, config, integrator, method)
     if reason:
-        sheet = next(s.path for s in shapes for b in s.bsdf.sides if model_of(b).has_null)
+        interface = NULL if scene.builder.media else None
+        models = ((s.path, model_of(side)) for s in shapes for side in s.bsdf.sides)
+        sheet = next(path for path, model in models if model.has_null and model is not interface)
         raise ValueError(
             f"derivatives by {', '.join(names)}: path vertices or shadows move, light of {points[0]!r} passes shape "
             f"{sheet!r} without being turned, and {reason}; or make the light an area light, or say "
@@ -60,6 +63,8 @@ def _unknown(scene: Scene, config: PathConfig, integrator: PathIntegrator, metho
         return f"interior.{type(method).__name__}() does not follow it; use interior.Replay()"
     if isinstance(integrator.boundary, Method) and not isinstance(integrator.boundary, METHODS):
         return f"boundary.{type(integrator.boundary).__name__}() does not know it; use boundary.PathSpace()"
+    if config.media is not None:
+        return "that is not known beside participating media; leave these out"
     if config.surfaces.primitives:
         return "that is not known beside shapes without triangles; give them triangles"
     if config.pulse:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion, seen_steps
 from warp_psdr.scene.layout import TEXCOORDS
@@ -38,7 +38,7 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
     """Say why the boundary term of steps that move cannot be estimated; empty: it can, or none move."""
     moves = motion(scene, names)
     listed = shown = seen_steps(scene, config, moves)
-    if has_delta_lobes(config.surfaces.bsdfs) and config.media is None and not config.material_first:
+    if has_chain_lobes(config.surfaces.bsdfs, config.media is not None) and not config.material_first:
         shown |= {(i, t) for i, textures in scene.builder.stepped.items() for t in textures}
     smoother = "use a bilinear bitmap, a trilinear volume or a vertex attribute"
     for shape, number in sorted(shown):

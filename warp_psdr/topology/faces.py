@@ -11,7 +11,8 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.texture.steps import StepTextures
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency
+from warp_psdr.topology.absent import absent_faces, absent_shapes
+from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency, without
 from warp_psdr.topology.film_edges import smooth_edges
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 from warp_psdr.topology.outlook import has_in_front
@@ -34,6 +35,8 @@ def face_tables(scene: Scene) -> tuple[Edges, Tables]:
     Behind the triangles are the records of shapes without any, each a group of its own, without edges.
     """
     found = scene_adjacency(scene)
+    if scene.builder.media:
+        found = without(found, absent_faces(scene))
     edges = every_edge(scene, found)
     smooth = smooth_edges(scene, found)
     tables = Tables()
@@ -93,8 +96,9 @@ def lenses(scene: Scene, edges: Adjacency, smooth: np.ndarray) -> list[np.ndarra
 def mirror_boxes(scene: Scene) -> np.ndarray:
     """Return (2 N, 3) float32: lower and upper corners of boxes around the shapes that are mirrors, glass or masks."""
     points, boxes = scene.points, []
-    for shape, record in zip(scene.description.shapes, scene.builder.shapes, strict=True):
-        if any(model_of(side).has_delta for side in shape.bsdf.sides):
+    absent = absent_shapes(scene) & bool(scene.builder.media)
+    for shape, record, passed in zip(scene.description.shapes, scene.builder.shapes, absent, strict=True):
+        if not passed and any(model_of(side).has_delta for side in shape.bsdf.sides):
             own = points[record.first_vertex : record.first_vertex + record.vertex_count]
             boxes.append([own.min(axis=0) - PAD * scene.ray_epsilon, own.max(axis=0) + PAD * scene.ray_epsilon])
     found = np.array(boxes, np.float32).reshape(-1, 2, 3)

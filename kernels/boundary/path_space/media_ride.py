@@ -22,8 +22,53 @@ from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.sensor.camera import make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink, normalize_vjp
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 from warp_psdr.kernels.visibility import visibility_of
+
+
+@functools.cache
+def make_along(media: MediaConfig, role: str, grids_move: bool):
+    """Return ``along(scene, target, medium, x, d, t, near, far, g) -> SpanAdjoint``.
+
+    It takes the adjoint g of a volume vertex x in a medium, at the distance t of a ray along d. x keeps its fraction of
+    the stretch from ``near`` to ``far``, or, in a grid, of its span in the grid's box.
+    """
+    assert media is not None
+    grids = media.grids
+    _point, _depth, accumulate_ends = make_grid_span(role, grids_move) if grids else (None, None, None)
+
+    @wp.func
+    def along(
+        scene: Scene,
+        target: wp.array(dtype=wp.float32),
+        medium: wp.int32,
+        x: wp.vec3,
+        d: wp.vec3,
+        t: wp.float32,
+        near: wp.float32,
+        far: wp.float32,
+        g: wp.vec3,
+    ) -> SpanAdjoint:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        r = SpanAdjoint()
+        r.o = g
+        r.d = t * g
+        r.near = wp.dot(d, g)
+        if wp.static(grids):
+            m = scene.media.records[medium]
+            if m.sigma_t_channels == GRID:
+                grid = texture_record(scene, m.sigma_t)
+                o = x - t * d
+                span = span_of(scene, grid, o, d, near, far)
+                r.far = wp.clamp((t - span.near) / span_length(span), 0.0, 1.0) * r.near
+                r.near -= r.far
+                return accumulate_ends(scene, target, grid, span, o, d, r)
+        if far < FAR:
+            r.far = (t - near) / wp.max(far - near, t - near) * r.near
+            r.near -= r.far
+        return r
+
+    return along
 
 
 @functools.cache
@@ -39,39 +84,7 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
     is_interface, behind = make_interface(config)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     position, _cross_of = make_position(config.surfaces.primitives)
-    grids = config.media is not None and config.media.grids
-    _point, _depth, accumulate_ends = make_grid_span(role, grids_move) if grids else (None, None, None)
-
-    @wp.func
-    def along(
-        scene: Scene,
-        target: wp.array(dtype=wp.float32),
-        walk: MediaWalk,
-        d: wp.vec3,
-        t: wp.float32,
-        near: wp.float32,
-        far: wp.float32,
-        g: wp.vec3,
-    ) -> SpanAdjoint:
-        """A vertex at a fraction of a stretch of the ray along d, or, in a grid, of its span in the grid's box."""
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        r = SpanAdjoint()
-        r.o = g
-        r.d = t * g
-        r.near = wp.dot(d, g)
-        if wp.static(grids):
-            m = scene.media.records[walk.medium]
-            if m.sigma_t_channels == GRID:
-                grid = texture_record(scene, m.sigma_t)
-                o = walk.x - t * d
-                span = span_of(scene, grid, o, d, near, far)
-                r.far = wp.clamp((t - span.near) / span_length(span), 0.0, 1.0) * r.near
-                r.near -= r.far
-                return accumulate_ends(scene, target, grid, span, o, d, r)
-        if far < FAR:
-            r.far = (t - near) / wp.max(far - near, t - near) * r.near
-            r.near -= r.far
-        return r
+    along = make_along(config.media, role, grids_move)
 
     @wp.func
     def ride(
@@ -89,7 +102,7 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
         far = wp.float32(FAR)
         if hit.face >= 0:
             far = t + hit.t
-        rides = along(scene, target, walk, d, t, near, far, g)
+        rides = along(scene, target, walk.medium, walk.x, d, t, near, far, g)
         a_y = rides.o
         a_w = rides.d
         a_near = rides.near
@@ -126,7 +139,7 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
         far = wp.float32(FAR)
         if hit.face >= 0:
             far = s.t + hit.t
-        rides = along(scene, target, walk, s.d, s.t, near, far, g)
+        rides = along(scene, target, walk.medium, walk.x, s.d, s.t, near, far, g)
         r.o = rides.o
         r.d = rides.d
         r.dot = rides.dot

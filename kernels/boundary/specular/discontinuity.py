@@ -27,8 +27,8 @@ from warp_psdr.kernels.boundary.specular.specular_chain import (
     MEETS_SMOOTH,
     Block,
     Link,
-    chain_depth,
     goes_on,
+    make_chain_depth,
     make_intersect_link,
     make_start,
 )
@@ -106,6 +106,7 @@ def make_crossing(config: PathConfig):
     """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
+    chain_depth, behind = make_chain_depth(config)
     point_differential = make_point_differential(
         config.surfaces.smooth, config.surfaces.flat, config.surfaces.primitives
     )
@@ -142,23 +143,27 @@ def make_crossing(config: PathConfig):
         a = first_a
         b = first_b
         i = wp.int32(0)
-        most = chain_depth(block, max_depth)
+        depth = block.depth
         begin = wp.int32(-1)
         if block.film == 0:
             begin = visits[count - 1].face
+            if wp.static(config.media is not None):
+                begin = wp.where(block.shape < 0, -1, begin)
         more = wp.bool(True)
         while more:
-            depth = block.depth + i
+            most = chain_depth(block, i, max_depth)
             on = goes_on(block, i)
             p = intersect_link(scene, o, d, t_max, depth, on, most)
             q = intersect_link(scene, o_high, d_high, t_max, depth, on, most)
             more = False
             if block.film == 0 and i == 0 and block.first == 1:
                 face = begin
-                if tables.interpolated[face] == 1 and (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0):
-                    if which == 0:
-                        return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
-                    return own_horizon(scene, block, face, q, d, a, b, count - 1, 1)
+                sides = (wp.dot(block.n, d) >= 0.0) != (wp.dot(block.n, d_high) >= 0.0)
+                if sides:
+                    if tables.interpolated[face] == 1:
+                        if which == 0:
+                            return own_horizon(scene, block, face, p, d, a, b, count - 1, -1)
+                        return own_horizon(scene, block, face, q, d, a, b, count - 1, 1)
             if p.face < 0 and q.face < 0:
                 return r
             same = p.face >= 0 and q.face >= 0
@@ -265,6 +270,7 @@ def make_crossing(config: PathConfig):
                 d_high = q.d
                 t_max = FAR
                 i += 1
+                depth = behind(depth, p.lobe)
                 more = True
         return r
 

@@ -12,6 +12,7 @@ from warp_psdr.kernels.boundary.specular.chain_edges import Crossing
 from warp_psdr.kernels.boundary.specular.chain_outlines import make_outline_sink
 from warp_psdr.kernels.boundary.specular.chain_pullback import Visit, make_chain_pullback
 from warp_psdr.kernels.boundary.specular.discontinuity import make_crossing
+from warp_psdr.kernels.boundary.specular.media_chain import make_follow_media_chain
 from warp_psdr.kernels.boundary.specular.ray_differential import RayDifferential, make_film_differential
 from warp_psdr.kernels.boundary.specular.specular_chain import (
     Block,
@@ -28,6 +29,7 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.notes import NOTE_EDGE, make_note
+from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.primitive.dispatch import has_sliding, make_adjoint_sink
 from warp_psdr.kernels.rng import Sampler, branch_of
 from warp_psdr.kernels.sensor.camera import CameraSample
@@ -52,7 +54,7 @@ class Line:
 
 
 @functools.cache
-def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
+def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool, grids_move: bool):
     """Return ``accumulate_crossings(scene, camera, edges, tables, block, line, low, high, weight, visits, ...)``.
 
     Adds what lies between the neighbouring points ``low`` and ``high`` of a line, as ``weight`` crossings.
@@ -60,9 +62,11 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
     start_at = make_start(config.camera)
     film_differential = make_film_differential(config.camera)
     identity = make_identity(config)
-    follow_chain = make_follow_chain(config)
+    among_media = config.media is not None
+    follow_chain = make_follow_media_chain(config) if among_media else make_follow_chain(config)
+    phase = make_phase(config.media.phases) if config.media is not None else None
     crossing_at = make_crossing(config)
-    pull = make_chain_pullback(config, wanted, role)
+    pull = make_chain_pullback(config, wanted, role, grids_move)
     accumulate_segment = make_segment_sink(role, light_pose, config.surfaces.primitives)
     accumulate_source = make_source_sink(role, light_pose, config.surfaces.primitives)
     sliding = has_sliding(config.surfaces.primitives)
@@ -143,8 +147,13 @@ def make_line_sink(config: PathConfig, wanted: GradientRequest, role: str, light
                     links = r.last - line.count + 2
                     s = beside_crossing(scene, camera, tables, block, s, sign * r.aside, line.max_depth, links)
                 f = follow_chain(scene, camera, block, s, branch, line.max_depth, line.rr_depth)
+                if wp.static(among_media):
+                    if block.film == 0 and block.shape < 0:
+                        m = scene.media.records[block.medium]
+                        ray = start_at(scene, camera, block, s)
+                        f *= phase.eval(scene, m, block.x, block.arrives, ray.d)
                 if wp.static(has_smooth):
-                    if block.film == 0:
+                    if block.film == 0 and (wp.static(not among_media) or block.shape >= 0):
                         y = visits[line.count - 1]
                         g = interaction.at(scene, y.face, y.u, y.v, y.d)
                         ray = start_at(scene, camera, block, s)

@@ -66,23 +66,15 @@ MAX_VISITS = MAX_WINDOW + MAX_CHAIN
 
 
 @functools.cache
-def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
-    """Return the kernel of the boundary term through mirrors and glass: one thread a path.
+def make_search(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool, grids_move: bool):
+    """Return ``search(scene, camera, edges, tables, block, line, cells, visits, sampler, adjoint, target, image)``.
 
-    Arguments are those of ``path_space/secondary.py``.
+    It adds the crossings of one line, which has so many root ``cells``. Arguments are those of the kernel below.
     """
-    camera_ray, _camera_origin = make_camera_ray(config.camera)
-    lens_point = make_lens(config.camera)
     start_at = make_start(config.camera)
     identity = make_identity(config)
-    accumulate_crossings = make_line_sink(config, wanted, role, light_pose)
-    path_step = make_path_step(config, False)
-    interaction = make_interaction(config.surfaces, config.lights)
-    has_smooth = interaction.eval is not None
-    draw = make_sampler(config.sampler)
-    sample_1d = draw.sample_1d
-    sample_2d = draw.sample_2d
-    sample_4d = draw.sample_4d
+    accumulate_crossings = make_line_sink(config, wanted, role, light_pose, grids_move)
+    sample_1d = make_sampler(config.sampler).sample_1d
 
     @wp.func
     def name_at(
@@ -183,25 +175,24 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                 level += 1
         return
 
-    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
-    def line_search(
-        # Scene:
-        scene: Scene,
-        camera: Camera,
-        edges: Edges,
-        tables: Tables,
-        # In:
-        job: SampleJob,
-        # Out:
-        target: wp.array(dtype=wp.float32),
-        image_out: wp.array2d(dtype=wp.vec3),
-    ):
-        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
-        number = job.first + wp.tid()
-        sampler = sampler_at(number, 0, job.seed)
-        visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
-        # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
+    return search
+
+
+@functools.cache
+def make_film_line(config: PathConfig):
+    """Return ``film_line(camera, job, number, sampler) -> (Block, Line)``: a line on the film, and its path's camera.
+
+    The throughput of the Line is what all of the path's lines are scaled with.
+    """
+    lens_point = make_lens(config.camera)
+    draw = make_sampler(config.sampler)
+    sample_2d = draw.sample_2d
+    sample_4d = draw.sample_4d
+
+    @wp.func
+    def film_line(camera: Camera, job: SampleJob, number: wp.int32, sampler: Sampler) -> tuple[Block, Line]:
         u4 = sample_4d(sampler, 0)
+        # A point of the film, and of its surroundings as far as lines and filter reach; stratified over the pixels.
         margin = filter_margin(camera) + FILM_LENGTH
         width = wp.float32(camera.crop_width) + 2.0 * margin
         height = wp.float32(camera.crop_height) + 2.0 * margin
@@ -233,6 +224,8 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         block.lens = sample.lens
         block.ell = FILM_LENGTH
         block.pattern = pattern
+        block.medium = camera.medium
+        block.shape = -1
         line = Line()
         line.throughput = wp.vec3(scale, scale, scale)
         line.camera = sample
@@ -240,11 +233,49 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
         line.slot = SLOT_SEARCH + 4
         line.max_depth = wp.where(job.max_depth < 0, NEVER, job.max_depth)
         line.rr_depth = job.rr_depth
+        return block, line
+
+    return film_line
+
+
+@functools.cache
+def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: str, light_pose: bool):
+    """Return the kernel of the boundary term through mirrors and glass: one thread a path.
+
+    Arguments are those of ``path_space/secondary.py``. In media it is that of ``media_line_search.py``.
+    """
+    camera_ray, _camera_origin = make_camera_ray(config.camera)
+    film_line = make_film_line(config)
+    search = make_search(config, wanted, role, light_pose, False)
+    path_step = make_path_step(config, False)
+    interaction = make_interaction(config.surfaces, config.lights)
+    has_smooth = interaction.eval is not None
+    sample_4d = make_sampler(config.sampler).sample_4d
+
+    @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
+    def line_search(
+        # Scene:
+        scene: Scene,
+        camera: Camera,
+        edges: Edges,
+        tables: Tables,
+        # In:
+        job: SampleJob,
+        # Out:
+        target: wp.array(dtype=wp.float32),
+        image_out: wp.array2d(dtype=wp.vec3),
+    ):
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        number = job.first + wp.tid()
+        sampler = sampler_at(number, 0, job.seed)
+        visits = wp.zeros(shape=(MAX_VISITS,), dtype=Visit)
+        block, line = film_line(camera, job, number, sampler)
         search(
             scene, camera, edges, tables, block, line, FILM_CELLS, visits, sampler, job.image_adjoint, target, image_out
         )
         if wp.static(has_smooth):
-            ray = camera_ray(scene, camera, sample)
+            scale = line.throughput[0]
+            ray = camera_ray(scene, camera, line.camera)
             state = path_from(ray.o + ray.t_min * ray.d, ray.d, ray.t_max - ray.t_min, 0)
             depth = wp.int32(0)
             count = wp.int32(0)  # of the vertices that are kept
@@ -301,7 +332,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
                             from_y.w1 = wp.cos(angle) * side + wp.sin(angle) * wp.cross(w0, side)
                             from_y.ell = ARC_LENGTH
                             from_y.depth = depth
-                            from_y.pattern = pattern
+                            from_y.pattern = block.pattern
                             from_y.first = through
                             line.throughput = (scale / pdf) * vertex.throughput
                             line.count = count

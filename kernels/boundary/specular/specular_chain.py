@@ -32,6 +32,8 @@ from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample
 from warp_psdr.kernels.emitter.projector import lies_in_frame
 from warp_psdr.kernels.interaction import leave_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.medium.null_surface import make_null_surface, null_model_of
+from warp_psdr.kernels.medium.passage import MOST_INTERFACES
 from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
@@ -74,6 +76,9 @@ class Block:
     depth: wp.int32  # path vertices in front
     pattern: wp.uint32
     first: wp.int32  # 1: discontinuities of the first segment belong to this estimator
+    medium: wp.int32  # in which the camera or a volume vertex is, or a surface is reached
+    shape: wp.int32  # of that surface; -1: y is a volume vertex
+    arrives: wp.vec3  # direction in which y is reached
 
 
 @wp.struct
@@ -170,6 +175,9 @@ def make_intersect_link(config: PathConfig):
     # What a delta lobe is chosen from: nothing else, a lobe that transmits, or smooth lobes. No model has three of them
     # (``warp_psdr/plan/boundary.py``).
     mixed = bsdf.eval is not None
+    among_media = config.media is not None
+    interfaces = among_media and null_model_of(config.surfaces.bsdfs) >= 0
+    is_interface, past = make_null_surface(config.surfaces, config.lights)
     transmissive = bsdf.relative_eta is not None
     nulls = has_null_lobes(config.surfaces.bsdfs)
 
@@ -185,6 +193,13 @@ def make_intersect_link(config: PathConfig):
     ) -> Link:
         r = Link()
         hit = visibility.seen(scene, o, d, t_max, depth)
+        if wp.static(interfaces):
+            crossings = wp.int32(0)
+            while is_interface(scene, hit.face) and crossings <= MOST_INTERFACES:
+                passed = past(scene, hit.face, hit.u, hit.v, d)
+                # As ``path_media.py`` casts it, to the last bit: both have to meet the same triangle.
+                hit = visibility.seen(scene, passed.x + (passed.o - passed.x), d, FAR, depth)
+                crossings += 1
         r.face = hit.face
         r.weight = wp.vec3(1.0, 1.0, 1.0)
         if hit.face < 0:
@@ -200,7 +215,11 @@ def make_intersect_link(config: PathConfig):
         r.facing = wp.where(wp.dot(n, d) <= 0.0, 1, 0)
         r.leaving = 1
         r.eta = 1.0
-        if not bsdf.has_delta(at.model) or depth + 1 >= max_depth:
+        last = depth + 1 >= max_depth
+        if wp.static(among_media and nulls):
+            # What passes without being turned does not count.
+            last = last and (max_depth == 0 or not bsdf.has_null(at.model))
+        if not bsdf.has_delta(at.model) or last:
             return r
         probability = wp.float32(1.0)
         r.lobe = LOBE_DELTA_REFLECTION
@@ -232,6 +251,9 @@ def make_intersect_link(config: PathConfig):
         scattered = interaction.scatter(at, r.lobe)
         r.weight = scattered.value / probability
         r.kind = wp.where(vanishes(scattered.value), MEETS_DEAD, MEETS_DELTA)
+        if wp.static(among_media and nulls):
+            if r.lobe != LOBE_NULL and depth + 1 >= max_depth:
+                r.kind = MEETS_DEAD
         r.d = leave_frame(at.frame, scattered.wo)
         r.leaving = wp.where(wp.dot(at.ng, r.d) >= 0.0, 1, 0)
         r.o = step_beside(at.x, at.ng, r.d, step_from(scene, hit.face, at.step))
@@ -240,10 +262,29 @@ def make_intersect_link(config: PathConfig):
     return intersect_link
 
 
-@wp.func
-def chain_depth(block: Block, max_depth: wp.int32) -> wp.int32:
-    """Most vertices of a path whose last ones are a chain of the block."""
-    return wp.min(max_depth, block.depth + MAX_CHAIN)
+@functools.cache
+def make_chain_depth(config: PathConfig):
+    """Return ``(chain_depth, behind)``, which count the path vertices in front of a vertex of a chain.
+
+    ``chain_depth(block, i, max_depth) -> int32``: most vertices of a path at the i-th vertex of a chain of the block,
+    whose last one ends it; in media 0 if the i-th one does.
+    ``behind(depth, lobe) -> int32``: ``depth`` of the next one.
+    """
+    among_media = config.media is not None
+
+    @wp.func
+    def chain_depth(block: Block, i: wp.int32, max_depth: wp.int32) -> wp.int32:
+        if wp.static(among_media):
+            return wp.where(i + 1 >= MAX_CHAIN, 0, max_depth)
+        return wp.min(max_depth, block.depth + MAX_CHAIN)
+
+    @wp.func
+    def behind(depth: wp.int32, lobe: wp.int32) -> wp.int32:
+        if wp.static(among_media):
+            return depth + wp.where(lobe == LOBE_NULL, 0, 1)
+        return depth + 1
+
+    return chain_depth, behind
 
 
 @wp.func
@@ -316,6 +357,7 @@ def make_identity(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     lit, reach = make_lit(config), make_reach(config)
+    chain_depth, behind = make_chain_depth(config)
     patch = make_patch(config.surfaces.primitives)
 
     @wp.func
@@ -334,12 +376,13 @@ def make_identity(config: PathConfig):
         o = ray.o
         d = ray.d
         t_max = ray.t_max
-        most = chain_depth(block, max_depth)
         h = wp.uint32(1)
         i = wp.int32(0)
+        depth = block.depth
         more = wp.bool(True)
         while more:
-            link = intersect_link(scene, o, d, t_max, block.depth + i, goes_on(block, i), most)
+            most = chain_depth(block, i, max_depth)
+            link = intersect_link(scene, o, d, t_max, depth, goes_on(block, i), most)
             ends = link.kind < MEETS_DELTA
             mine = i > 0 or block.first == 1 or link.kind == MEETS_DELTA or link.kind == MEETS_DEAD
             if mine:
@@ -358,14 +401,13 @@ def make_identity(config: PathConfig):
                 if interpolated[link.face] == 1 and link.kind == MEETS_DELTA:
                     h = hash_combine(h, link.leaving)
                 if wp.static(reach is not None):
-                    if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
+                    if links == 0 and mine and link.kind == MEETS_SMOOTH and depth + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
                             if is_delta_light(scene.emitters[k].kind):
-                                passed = most_crossings(block.depth + i, max_depth)
-                                name = reach(scene, group, link.x, link.ng, k, passed)
+                                name = reach(scene, group, link.x, link.ng, k, most_crossings(depth, max_depth))
                                 h = hash_combine(h, wp.int32(name))
                 elif wp.static(lit is not None):
-                    if links == 0 and mine and link.kind == MEETS_SMOOTH and block.depth + i + 1 < max_depth:
+                    if links == 0 and mine and link.kind == MEETS_SMOOTH and depth + 1 < max_depth:
                         for k in range(scene.emitters.shape[0]):
                             if is_delta_light(scene.emitters[k].kind):
                                 if lit(scene, link.x, link.ng, k):
@@ -373,6 +415,7 @@ def make_identity(config: PathConfig):
                                 else:
                                     h = hash_combine(h, -1)
             i += 1
+            depth = behind(depth, link.lobe)
             if ends or i == links:
                 more = False
             else:
@@ -386,10 +429,14 @@ def make_identity(config: PathConfig):
 
 @functools.cache
 def make_follow_chain(config: PathConfig):
-    """Return ``follow_chain(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s."""
+    """Return ``follow_chain(scene, camera, block, s, sampler, max_depth, rr_depth) -> vec3``: F(q) without f_s.
+
+    In media it is that of ``media_chain.py``.
+    """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     following = make_following(config)
+    chain_depth, _behind = make_chain_depth(config)
 
     @wp.func
     def follow_chain(
@@ -405,7 +452,7 @@ def make_follow_chain(config: PathConfig):
         o = ray.o
         d = ray.d
         t_max = ray.t_max
-        most = chain_depth(block, max_depth)
+        most = chain_depth(block, 0, max_depth)
         total = wp.vec3(0.0, 0.0, 0.0)
         weight = wp.vec3(1.0, 1.0, 1.0)
         i = wp.int32(0)

@@ -15,6 +15,7 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_BLEND_GRID, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
@@ -103,6 +104,22 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     is_interface, _behind = make_interface(config)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
+    chains = has_chain_lobes(config.surfaces.bsdfs, True)
+
+    @wp.func
+    def attached(scene: Scene, target: wp.array(dtype=wp.float32), carry: MovedCarry) -> Carry:
+        """The ray that leaves a delta lobe, with the adjoint of what it meets: nothing behind is left to be done."""
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        end = carry.end
+        end.dot = wp.float32(0.0)
+        done = finish_vertex(scene, target, end, True)
+        r = Carry()
+        r.face = -1
+        r.radiance = end.radiance
+        r.a_x = done.a_x
+        r.a_d = done.a_d + carry.a_w
+        r.dot = done.dot
+        return r
 
     @wp.func
     def closed(scene: Scene, carry: MovedCarry) -> Carry:
@@ -251,7 +268,14 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
         vertex = v.surface
         vertex.o = s.start
         vertex.light = -1
-        behind = closed(scene, carry)
+        behind = Carry()
+        if wp.static(chains and geometry):
+            if vertex.lobe > LOBE_SMOOTH:
+                behind = attached(scene, target, carry)
+            else:
+                behind = closed(scene, carry)
+        else:
+            behind = closed(scene, carry)
         result = Carry()
         of_light = v.surface.light >= 0
         count = wp.where(of_light, 2, 1)
@@ -307,6 +331,8 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
         r = MovedCarry()
         inner = vertex.direct + wp.cw_mul(vertex.beta, carry.end.radiance)
         passes = vertex.lobe == LOBE_NULL and not v.collides
+        if wp.static(chains):
+            passes = passes and is_interface(scene, vertex.face)
         a_near = wp.float32(0.0)  # adjoint of the distances from y at which the stretch begins and ends
         a_far = wp.float32(0.0)
         far = wp.float32(0.0)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from warp_psdr.estimate.boundary import long_chains
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.specular.line_search import make_line_search_kernel
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.boundary.specular.media_line_search import make_media_line_search_kernel
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.options.boundary import Connecting, PathSpace, Projective
 from warp_psdr.options.words import words
 from warp_psdr.topology.faces import face_tables
@@ -13,7 +14,8 @@ from warp_psdr.topology.faces import face_tables
 
 def applies(r: Request) -> bool:
     """Whether there is a mirror or glass."""
-    return r.config.scatter and has_delta_lobes(r.config.surfaces.bsdfs) and bool(r.scene.face_count)
+    chains = has_chain_lobes(r.config.surfaces.bsdfs, r.config.media is not None)
+    return r.config.scatter and chains and bool(r.scene.face_count)
 
 
 def launch(r: Request) -> Term | None:
@@ -22,7 +24,11 @@ def launch(r: Request) -> Term | None:
     edges, tables = face_tables(r.scene)
     assert isinstance(r.method, Connecting)
     samples = r.pixels * (r.method.spp_mirrors or r.spp)
-    kernel = make_line_search_kernel(r.config, r.plan.wanted, r.role, r.moves.light_pose)
+    asked = r.config, r.plan.wanted, r.role, r.moves.light_pose
+    if r.config.media is None:
+        kernel = make_line_search_kernel(*asked)
+    else:
+        kernel = make_media_line_search_kernel(*asked, r.moves.grids)
     term = term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, tables], samples)
     long_chains.check(r)
     return term
@@ -35,5 +41,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
 )
