@@ -245,8 +245,3 @@ def test_other_methods_are_refused():
             psdr.render_backward(scene, params, np.ones((24, 24, 3)), integrator=psdr.PathIntegrator(interior=method))
     with pytest.raises(ValueError, match="does not know participating media"):
         psdr.render(scene, integrator="ptracer", spp=1)
-    glass = scenes.ink_in_glass()
-    glass["glass"]["bsdf"] = {"type": "dielectric"}
-    scene = psdr.load_dict(glass)
-    with pytest.raises(ValueError, match="turned rays are not followed through media"):
-        psdr.plan(scene, names=["glass.bsdf.eta"])

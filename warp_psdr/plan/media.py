@@ -96,8 +96,6 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
     stepped = _stepped_grid(scene)
     if stepped:
         return f"the voxels of {stepped!r} are 'nearest', so that it jumps along them; make its filter 'trilinear'"
-    if wanted.bends:
-        return "turned rays are not followed through media; request coefficients of media, reflectances or radiances"
     if c.EMITTER_DIRECTIONAL_AREA in config.lights.others:
         return "what moves is not followed to a 'directionalarea' beside media; use a 'directional' or an 'area' light"
     for shape in scene.description.shapes:

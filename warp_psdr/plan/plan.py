@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes, has_null_lobes, models_of
 from warp_psdr.kernels.bsdf.mask import explored
-from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.vertex import LightConfig, PathConfig, RayConfig, SurfaceConfig
 from warp_psdr.options import interior

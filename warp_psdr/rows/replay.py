@@ -110,7 +110,11 @@ def make_replay(config: PathConfig, wanted: GradientRequest, role: str, kept: Ke
     if config.shown:
         return make_property_kernel(config, wanted, role)
     if config.media is not None and moves_in_media(wanted):
-        return make_media_motion_kernel(config, moved_request(wanted), role, kept.block, kept.longest)
+        moved = moved_request(wanted)
+        if wanted.bends:
+            # What turns rays weighs them, too: material values are all differentiated with it.
+            moved = replace(moved, material=wanted.material, bends=True)
+        return make_media_motion_kernel(config, moved, role, kept.block, kept.longest)
     if config.media is not None:
         return make_media_replay_kernel(config, wanted, role, kept.block, kept.longest)
     if role == "forward":
@@ -131,7 +135,9 @@ def beside_motion(config: PathConfig, wanted: GradientRequest, role: str, kept: 
         return []
     lights = tuple(kind for kind in wanted.lights if kind != "pose")
     of_media = tuple(kind for kind in wanted.media if kind != POSE)
+    material = (False,) * len(wanted.material) if wanted.bends else wanted.material
     rest = replace(wanted, shapes=False, texcoords=False, camera=False, lights=lights, media=of_media)
+    rest = replace(rest, material=material, bends=False)
     return replayed(config, rest, role, kept)
 
 

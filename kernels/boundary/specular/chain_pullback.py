@@ -15,6 +15,7 @@ from warp_psdr.kernels.boundary.path_space.media_ride import make_along
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.media_motion import make_nearness
 from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.factors.sinks import make_material_sink
 from warp_psdr.kernels.medium.interface import make_interface, make_interface_sink
@@ -36,11 +37,11 @@ class Visit:
     d: wp.vec3
     lobe: wp.int32  # in which the path goes on
     attached: wp.int32  # 1: to that ray
-    medium: wp.int32  # of a volume vertex, from one; 0: the vertex is on a surface, ``face``
-    x: (
-        wp.vec3
-    )  # a volume vertex, on the stretch of the ray between two crossings, whose distances are ``near``, ``far``
-    near: wp.float32
+    #: Of a volume vertex, whose ``face``, u and v are those of the first surface behind it that is there.
+    medium: wp.int32  # from one; 0: the vertex is on a surface
+    x: wp.vec3
+    stretch: wp.float32  # as of ``make_nearness``
+    near: wp.float32  # distances at which its stretch of the ray begins and ends
     near_face: wp.int32  # -1: the stretch begins where the ray does
     near_u: wp.float32
     near_v: wp.float32
@@ -48,7 +49,6 @@ class Visit:
     far_face: wp.int32  # -1: it has no end
     far_u: wp.float32
     far_v: wp.float32
-    #: ``face``, u and v of a volume vertex are those of the first surface behind it that is there.
 
 
 @wp.struct
@@ -132,6 +132,7 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str, 
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     ride_visit = make_ride_visit(config, role, grids_move) if config.media is not None else None
     sliding = has_sliding(config.surfaces.primitives)
+    nearness = make_nearness(config.surfaces, config.lights)
 
     @wp.func
     def pull(
@@ -176,6 +177,12 @@ def make_chain_pullback(config: PathConfig, wanted: GradientRequest, role: str, 
                     total += dot
                     # wi = normalize(x_{j-1} - x_j).
                     a_x = normalize_vjp(wi_world, wp.length(visit.o - surface.x), turned.wi)
+                    if wp.static(ride_visit is not None):
+                        if visit.attached == 0:
+                            y = visits[j - 1]
+                            if y.medium > 0:
+                                # As in the interior term: what is lost there is regained here.
+                                a_x *= nearness(scene, y.x, y.stretch, visit.face, visit.u, visit.v)
                     adjoint.x = adjoint.x - a_x
                     before += a_x
             by_ray = visit.attached == 1

@@ -31,12 +31,15 @@ from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.invalid import finite
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.math import any_tangent
+from warp_psdr.kernels.medium.grid_span import span_length, span_of
 from warp_psdr.kernels.medium.interface import make_interface
 from warp_psdr.kernels.medium.passage import is_lost
+from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.path_media import collision_point, make_media_step, media_path_from
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.rng import make_sampler, sampler_at
 from warp_psdr.kernels.sampling import square_to_sphere
 from warp_psdr.kernels.sensor.camera import make_camera_ray
@@ -62,6 +65,7 @@ def make_media_line_search_kernel(
     interaction = make_interaction(config.surfaces, config.lights)
     has_smooth = interaction.eval is not None
     phase = make_phase(config.media.phases)
+    grids = config.media.grids
     position, _cross_of = make_position(config.surfaces.primitives)
     sample_4d = make_sampler(config.sampler).sample_4d
 
@@ -128,6 +132,16 @@ def make_media_line_search_kernel(
                 if step.collides:
                     visit.medium = 1 + medium
                     visit.x = collision_point(step)
+                    before = wp.dot(path.o - start, vertex.d)
+                    if vertex.face >= 0:
+                        visit.stretch = wp.max(visit.far - before, step.t)
+                    if wp.static(grids):
+                        m = scene.media.records[medium]
+                        if m.sigma_t_channels == GRID:
+                            ends = wp.where(vertex.face >= 0, before + visit.stretch, FAR)
+                            grid = texture_record(scene, m.sigma_t)
+                            origin = vertex.o - before * vertex.d
+                            visit.stretch = span_length(span_of(scene, grid, origin, vertex.d, before, ends))
                     hit = RayHit()
                     hit.face = vertex.face
                     hit.u = vertex.u

@@ -45,7 +45,10 @@ from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, SurfaceConfig
+
+#: By how much strips next to mirrors and glass are wider: a medium that they bound reaches them everywhere.
+BORDER = 5.0
 
 
 @wp.struct
@@ -67,7 +70,39 @@ class MovedCarry:
     #: Radiance, and z: its adjoint, and in ``a_x`` that of y.
     end: Carry
     a_w: wp.vec3  # adjoint of the direction of the ray from y
+    a_wi: wp.vec3  # what of the adjoint of y, and with the opposite sign of z, is that of the direction from z to y
     a_t: wp.float32  # adjoint of the distance from y to where the step's flight starts
+
+
+@functools.cache
+def make_nearness(surfaces: SurfaceConfig, lights: LightConfig, geometry: bool = True):
+    """Return ``nearness(scene, x, stretch, face, u, v) -> float32``.
+
+    It is the weight chi of the connection of a volume vertex x with a surface, by its distance from the plane;
+    ``stretch``: the length of its stretch.
+    """
+    position, _cross_of = make_position(surfaces.primitives)
+    chains = has_chain_lobes(surfaces.bsdfs, True)
+    has_delta = make_interaction(surfaces, lights).bsdf.has_delta
+
+    @wp.func
+    def nearness(
+        scene: Scene, x: wp.vec3, stretch: wp.float32, face: wp.int32, u: wp.float32, v: wp.float32
+    ) -> wp.float32:
+        if wp.static(not geometry):
+            return 1.0
+        tri = scene.triangles[face]
+        a = wp.abs(wp.dot(tri.normal, position(tri, u, v) - x))
+        rho = scene.contact_ratio * wp.min(scene.radii[face], stretch)
+        if wp.static(chains):
+            if has_delta(scene.bsdfs[scene.shapes[tri.shape].bsdf].model):
+                rho *= BORDER
+        if a >= rho:
+            return 1.0
+        t = a / rho
+        return 3.0 * t * t
+
+    return nearness
 
 
 @functools.cache
@@ -104,6 +139,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     is_interface, _behind = make_interface(config)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None
     geometry = wanted.geometry
+    nearness = make_nearness(config.surfaces, config.lights, geometry)
     chains = has_chain_lobes(config.surfaces.bsdfs, True)
 
     @wp.func
@@ -132,21 +168,6 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             r.adjoint.x = r.adjoint.x + across
             r.a_x -= across
         return r
-
-    @wp.func
-    def nearness(
-        scene: Scene, x: wp.vec3, stretch: wp.float32, face: wp.int32, u: wp.float32, v: wp.float32
-    ) -> wp.float32:
-        """The weight chi of the connection of a volume vertex with a surface, by its distance from the plane."""
-        if wp.static(not geometry):
-            return 1.0
-        tri = scene.triangles[face]
-        a = wp.abs(wp.dot(tri.normal, position(tri, u, v) - x))
-        rho = scene.contact_ratio * wp.min(scene.radii[face], stretch)
-        if a >= rho:
-            return 1.0
-        t = a / rho
-        return 3.0 * t * t
 
     @wp.func
     def towards_light(
@@ -216,6 +237,10 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                     z = position(tri, end.u, end.v)
                     cross = cross_of(tri, end.u, end.v)
                     chi = nearness(scene, x, stretch, end.face, end.u, end.v)
+                    if wp.static(chains):
+                        # A mirror or glass turns by it what it sends.
+                        end.a_x -= (1.0 - chi) * carry.a_wi
+                        end.adjoint.x = end.adjoint.x + (1.0 - chi) * carry.a_wi
                     if wp.static(flakes):
                         a_wo = chi * a_wo
                     else:
@@ -360,6 +385,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             r.end = carry.end
             r.end.dot = wp.float32(0.0)
             r.a_w = carry.a_w
+            r.a_wi = carry.a_wi
             a_far = carry.a_t
         elif v.collides:
             a_n = wp.cw_mul(delta, vertex.throughput)
@@ -382,6 +408,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 a_near -= a_far
         else:
             r.end = of_surface(scene, target, sampler, s, delta, carry)
+            r.a_wi = r.end.a_x
         r.end.radiance = wp.cw_mul(v.weight, inner)
         if wp.static(geometry):
             if wp.static(grids):

@@ -10,6 +10,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.options.boundary import Connecting, PathSpace, Projective
 from warp_psdr.options.words import words
 from warp_psdr.topology.faces import face_tables
+from warp_psdr.topology.patches import patch_radii
 
 
 def applies(r: Request) -> bool:
@@ -25,11 +26,13 @@ def launch(r: Request) -> Term | None:
     assert isinstance(r.method, Connecting)
     samples = r.pixels * (r.method.spp_mirrors or r.spp)
     asked = r.config, r.plan.wanted, r.role, r.moves.light_pose
+    data = r.scene.data()
     if r.config.media is None:
         kernel = make_line_search_kernel(*asked)
     else:
         kernel = make_media_line_search_kernel(*asked, r.moves.grids)
-    term = term_of(r, TERM, kernel, [r.scene.data(), r.camera, edges, tables], samples)
+        data.radii = patch_radii(r.scene)  # motions of volume vertices are weighted next to surfaces
+    term = term_of(r, TERM, kernel, [data, r.camera, edges, tables], samples)
     long_chains.check(r)
     return term
 
