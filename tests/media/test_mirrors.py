@@ -1,6 +1,6 @@
 """Derivatives by what moves, through mirrors, glass, thin glass and masks beside media and around them.
 
-In most scenes all that the camera sees is behind a mirror, glass or a mask, so that the interior term follows chains and
+In most scenes all that the camera sees is behind a mirror, glass or a mask. The interior term follows chains there, and
 all edges are found by searching along lines.
 """
 
@@ -27,7 +27,7 @@ ADJOINT = (RAMP * np.array([1.0, 0.7, 0.4])).astype(np.float32)
 
 
 def stage(seen, *, smoke=True, **more):
-    """A floor, a small block, smoke in a cube that is not there, a lamp and a sky; ``seen``: what all is seen through."""
+    """A floor, a block, smoke in a cube that is not there, a lamp and a sky; ``seen``: what all is seen through."""
     parts = {
         "sensor": camera([0, -1.4, 0.6], [0, 0, 0.5], 50.0, SIZE),
         "floor": square(-0.02, 5.0, {"type": "diffuse", "reflectance": rgb(0.7, 0.5, 0.3)}),
@@ -56,13 +56,13 @@ def box(bsdf, **more):
     return {"type": "cube", "to_world": pose, "bsdf": bsdf, **more}
 
 
-def mirrored():
+def mirrored(**more):
     """The camera looks into a mirror, in which it sees the block and the smoke behind it."""
     wall = {"type": "rectangle", "to_world": T.translate([0, 2.5, 3.0]) @ T.rotate([1, 0, 0], 90.0) @ T.scale(2.9)}
     mirror = {"type": "rectangle", "bsdf": CONDUCTOR}
     mirror["to_world"] = T.translate([0, -1.7, 3.0]) @ T.rotate([1, 0, 0], -90.0) @ T.scale(2.9)
     view = camera([0, -1.4, 0.6], [0, -1.7, 0.55], 60.0, SIZE)
-    return stage(mirror, sensor=view, wall={**wall, "bsdf": GREY})
+    return stage(mirror, sensor=view, wall={**wall, "bsdf": GREY}, **more)
 
 
 SCENES = {
@@ -80,9 +80,7 @@ def moved(scene):
     return [name for name in psdr.traverse(scene) if name.endswith("to_world") and not name.startswith("sky")]
 
 
-@pytest.mark.parametrize(
-    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind not in ("mirror", "mask"))) for kind in SCENES]
-)
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "mirror")) for kind in SCENES])
 def test_nothing_changes_where_all_moves_together(kind):
     """Sample by sample, whatever vertices ride on, and wherever edges are seen."""
     scene = SCENES[kind]()
@@ -111,7 +109,9 @@ ROWS = [
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "name", "motion", "depth", "spp", "noise"), ROWS, ids=lambda x: x if isinstance(x, str) else "")
+@pytest.mark.parametrize(
+    ("kind", "name", "motion", "depth", "spp", "noise"), ROWS, ids=lambda x: x if isinstance(x, str) else ""
+)
 def test_derivative_equals_finite_differences(kind, name, motion, depth, spp, noise):
     """Of a weighted sum of pixels, in both modes."""
     scene = SCENES[kind]()
@@ -126,3 +126,45 @@ def test_derivative_equals_finite_differences(kind, name, motion, depth, spp, no
     options = {"integrator": psdr.PathIntegrator(max_depth=depth), "spp": spp, "seed": 50}
     image = psdr.render_forward(scene, params, tangents, **options).numpy()
     np.testing.assert_allclose((ADJOINT * image).sum(), (found[0] * tangent).sum(), rtol=2e-3)
+
+
+@pytest.mark.slow
+def test_an_index_of_refraction_turns_rays_around_a_medium():
+    scene = SCENES["glass around a medium"]()
+    name, one = "seen.bsdf.eta", np.ones(1)
+    expected = [(ADJOINT * difference(scene, name, one, 4, 16384, i, STEP)).sum() for i in range(BATCHES)]
+    error = np.std(expected, ddof=1) / np.sqrt(BATCHES)
+    found = [float(g[0].item()) for g in derivatives(scene, [name], ADJOINT, spp=512, depth=4)]
+    assert_mean(found, np.mean(expected), error, 0.05)
+
+
+@pytest.mark.slow
+def test_thin_smoke_has_the_derivatives_of_none():
+    """The same scene, by the kernels of media and by those without."""
+    thin = cube(medium(1e-4, 0.8), scale=0.35, translate=(0.4, 0.6, 0.5), turn=35.0)
+    names = ["block.to_world", "seen.to_world", "sensor.to_world"]
+    motions = [shift(0.5, 0.3, 0.2), aim(0, 0, 1), shift(0.2, 0.1, 0.2)]
+    found = []
+    for scene in (mirrored(smoke=thin), mirrored(smoke=square(-9.0, 0.1))):
+        params = psdr.traverse(scene)
+        tangents = [motion(params[name].numpy()) for name, motion in zip(names, motions, strict=True)]
+        gradients = derivatives(scene, names, ADJOINT, spp=512, depth=3)
+        found.append([[(a * t).sum() for a, t in zip(g, tangents, strict=True)] for g in gradients])
+    a, b = np.array(found)
+    error = np.hypot(a.std(axis=0, ddof=1), b.std(axis=0, ddof=1)) / np.sqrt(BATCHES)
+    assert (np.abs(a.mean(axis=0) - b.mean(axis=0)) < 4.0 * error).all(), (a.mean(axis=0), b.mean(axis=0), error)
+    assert (error < 0.05 * np.abs(b.mean(axis=0))).all()
+
+
+def test_hard_shadows_in_a_medium_are_not_searched_for_through_mirrors():
+    scene = mirrored(bulb=point([0.0, 0.0, 2.0]))
+    with pytest.raises(ValueError, match="'bulb' is a light of no area, whose hard shadows in media"):
+        psdr.plan(scene, names=["block.to_world"])
+    inside = psdr.PathIntegrator(boundary=None)
+    assert "left out" in str(psdr.plan(scene, names=["block.to_world"], integrator=inside))
+
+
+def test_masks_end_shadow_rays_where_something_moves():
+    scene = SCENES["mask"]()
+    assert "end at surfaces" in str(psdr.plan(scene, names=["block.to_world"]))
+    assert "pass surfaces" in str(psdr.plan(scene, names=["floor.bsdf.reflectance.value"]))
