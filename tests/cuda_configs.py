@@ -81,6 +81,9 @@ GRIDS = changed(
         True,
     ),
 )
+#: Mirrors, glass and masks beside media, and in grids.
+MEDIA_MIRRORS = changed(MEDIA, **materials("dielectric", "diffuse", "mask(diffuse)", "null"), others=(), through=False)
+GRID_MIRRORS = changed(MEDIA_MIRRORS, media=GRIDS.media)
 #: Grids that emit light, beside microflakes.
 GLOWING = changed(GRIDS, media=MediaConfig((c.PHASE_HG, c.PHASE_SGGX), True, True, True))
 #: Microflakes of grids and of one matrix, in grids that emit light.

@@ -23,6 +23,7 @@ from tests.cuda_configs import (
     GEOMETRY,
     GLOSSY,
     GLOWING,
+    GRID_MIRRORS,
     GRIDS,
     IRRADIANCE,
     JOINED,
@@ -31,6 +32,7 @@ from tests.cuda_configs import (
     MAPPED,
     MATERIALS,
     MEDIA,
+    MEDIA_MIRRORS,
     MIRROR_LIGHTS,
     MIRRORS,
     MIRRORS_LENS,
@@ -262,6 +264,7 @@ FACTORIES = {
         ("reverse", (MEDIA, moving_among_media(MEDIA), "reverse", 4, 4), SLOW),
         ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, wanted(GRIDS, shapes=True, camera=True, media=("pose",)), "reverse", 4, 4), SLOW),
+        ("reverse, mirrors", (MEDIA_MIRRORS, moving_among_media(MEDIA_MIRRORS), "reverse", 4, 4), SLOW),
     ],
     "boundary.path_space.media_secondary.make_media_secondary_kernel": [
         ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
@@ -340,6 +343,11 @@ FACTORIES = {
     ],
     "boundary.specular.long_chains.make_long_chains_kernel": [
         ("materials", (MATERIALS,), SLOW),
+        ("mirrors in media", (MEDIA_MIRRORS,), SLOW),
+    ],
+    "boundary.specular.media_line_search.make_media_line_search_kernel": [
+        ("reverse", (MEDIA_MIRRORS, moving(MEDIA_MIRRORS), "reverse", False, False), SLOW),
+        ("forward, grids", (GRID_MIRRORS, moving(GRID_MIRRORS), "forward", False, True), SLOW),
     ],
     "boundary.specular.line_search.make_line_search_kernel": [
         ("reverse, materials", (MATERIALS, moving(MATERIALS), "reverse", False), SLOW),

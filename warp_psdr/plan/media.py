@@ -21,6 +21,7 @@ from warp_psdr.topology.interpolated_normals import interpolated_faces
 if TYPE_CHECKING:
     from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
     from warp_psdr.kernels.vertex import PathConfig
+    from warp_psdr.scene.description import BsdfDescription
     from warp_psdr.scene.scene import Scene
 
 #: What of a medium is differentiated.
@@ -82,8 +83,14 @@ def describe(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -
 
 
 def weighs(config: PathConfig) -> bool:
-    """Whether light passes masks or thin glass, which weigh it, besides surfaces that are not there."""
-    return any(model.has_null and model is not NULL for model in models_of(config.surfaces.bsdfs))
+    """Whether light passes surfaces that are path vertices: in media masks and thin glass, elsewhere ``null``, too."""
+    absent = NULL if config.media is not None else None
+    return any(model.has_null and model is not absent for model in models_of(config.surfaces.bsdfs))
+
+
+def lets_pass(scene: Scene, bsdf: BsdfDescription) -> bool:
+    """Whether it is a material of such surfaces."""
+    return model_of(bsdf).has_null and not (scene.builder.media and model_of(bsdf) is NULL)
 
 
 def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> str:

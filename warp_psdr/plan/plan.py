@@ -163,8 +163,7 @@ def decide(
                 config, surfaces=replace(config.surfaces, bsdfs=tuple(map(explored, config.surfaces.bsdfs)))
             )
     passed = config.through
-    vertices = has_null_lobes(config.surfaces.bsdfs) if config.media is None else media.weighs(config)
-    if passed and vertices and wanted is not None and (wanted.geometry or moving):
+    if passed and media.weighs(config) and wanted is not None and (wanted.geometry or moving):
         # What moves sees null lobes as other delta lobes, whose crossings are path vertices of their own. To lights of
         # no area, which no path hits, shadow rays pass them.
         config = replace(config, through=False, points_pass=sheets.passes(scene, config, integrator, method, names))

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.options.interior import Replay
+from warp_psdr.plan import media
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.light_frames import has_hard_frame
@@ -45,9 +45,7 @@ def passes(
         return False
     reason = _unknown(scene, config, integrator, method)
     if reason:
-        interface = NULL if scene.builder.media else None
-        models = ((s.path, model_of(side)) for s in shapes for side in s.bsdf.sides)
-        sheet = next(path for path, model in models if model.has_null and model is not interface)
+        sheet = next(s.path for s in shapes if any(media.lets_pass(scene, side) for side in s.bsdf.sides))
         raise ValueError(
             f"derivatives by {', '.join(names)}: path vertices or shadows move, light of {points[0]!r} passes shape "
             f"{sheet!r} without being turned, and {reason}; or make the light an area light, or say "

@@ -106,7 +106,7 @@ def make_crossing(config: PathConfig):
     """
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
-    chain_depth, behind = make_chain_depth(config)
+    chain_depth, behind = make_chain_depth(config.media is not None)
     point_differential = make_point_differential(
         config.surfaces.smooth, config.surfaces.flat, config.surfaces.primitives
     )

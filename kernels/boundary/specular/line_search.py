@@ -179,13 +179,13 @@ def make_search(config: PathConfig, wanted: GradientRequest, role: str, light_po
 
 
 @functools.cache
-def make_film_line(config: PathConfig):
+def make_film_line(camera_kind: int, sampler_kind: str):
     """Return ``film_line(camera, job, number, sampler) -> (Block, Line)``: a line on the film, and its path's camera.
 
     The throughput of the Line is what all of the path's lines are scaled with.
     """
-    lens_point = make_lens(config.camera)
-    draw = make_sampler(config.sampler)
+    lens_point = make_lens(camera_kind)
+    draw = make_sampler(sampler_kind)
     sample_2d = draw.sample_2d
     sample_4d = draw.sample_4d
 
@@ -245,7 +245,7 @@ def make_line_search_kernel(config: PathConfig, wanted: GradientRequest, role: s
     Arguments are those of ``path_space/secondary.py``. In media it is that of ``media_line_search.py``.
     """
     camera_ray, _camera_origin = make_camera_ray(config.camera)
-    film_line = make_film_line(config)
+    film_line = make_film_line(config.camera, config.sampler)
     search = make_search(config, wanted, role, light_pose, False)
     path_step = make_path_step(config, False)
     interaction = make_interaction(config.surfaces, config.lights)

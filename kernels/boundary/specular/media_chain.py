@@ -34,7 +34,7 @@ def make_follow_media_chain(config: PathConfig):
     """Return ``follow_chain`` in media (``specular_chain.make_follow_chain``)."""
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
-    chain_depth, behind = make_chain_depth(config)
+    chain_depth, behind = make_chain_depth(config.media is not None)
     media_step = make_media_step(config, False)
     is_interface, _past = make_null_surface(config.surfaces, config.lights)
 

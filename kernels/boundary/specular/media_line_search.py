@@ -58,7 +58,7 @@ def make_media_line_search_kernel(
     """Return the kernel (``line_search.py``); ``grids_move``: grids of media have derivatives."""
     assert config.media is not None
     camera_ray, _camera_origin = make_camera_ray(config.camera)
-    film_line = make_film_line(config)
+    film_line = make_film_line(config.camera, config.sampler)
     search = make_search(config, wanted, role, light_pose, grids_move)
     media_step = make_media_step(config, False)
     is_interface, behind_of = make_interface(config)

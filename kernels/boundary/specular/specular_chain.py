@@ -263,14 +263,13 @@ def make_intersect_link(config: PathConfig):
 
 
 @functools.cache
-def make_chain_depth(config: PathConfig):
+def make_chain_depth(among_media: bool):
     """Return ``(chain_depth, behind)``, which count the path vertices in front of a vertex of a chain.
 
     ``chain_depth(block, i, max_depth) -> int32``: most vertices of a path at the i-th vertex of a chain of the block,
     whose last one ends it; in media 0 if the i-th one does.
     ``behind(depth, lobe) -> int32``: ``depth`` of the next one.
     """
-    among_media = config.media is not None
 
     @wp.func
     def chain_depth(block: Block, i: wp.int32, max_depth: wp.int32) -> wp.int32:
@@ -357,7 +356,7 @@ def make_identity(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     lit, reach = make_lit(config), make_reach(config)
-    chain_depth, behind = make_chain_depth(config)
+    chain_depth, behind = make_chain_depth(config.media is not None)
     patch = make_patch(config.surfaces.primitives)
 
     @wp.func
@@ -436,7 +435,7 @@ def make_follow_chain(config: PathConfig):
     start_at = make_start(config.camera)
     intersect_link = make_intersect_link(config)
     following = make_following(config)
-    chain_depth, _behind = make_chain_depth(config)
+    chain_depth, _behind = make_chain_depth(config.media is not None)
 
     @wp.func
     def follow_chain(
