@@ -64,7 +64,7 @@ def test_all_that_run_through_each_other_are_found_and_no_others(plugin: str) ->
             deep = depth(plugin, a, b)
             if abs(deep - TOUCHING) < COARSE or depth_of_itself(plugin, a) or depth_of_itself(plugin, b):
                 continue
-            found = tube_overlaps(load(plugin, a, b, split=bool(trial % 2)), 0)
+            found = tube_overlaps(load(plugin, a, b, split=bool(trial % 2)), 0, True)
             assert (found is not None) == (deep > TOUCHING), (radius, trial, deep)
             counts[deep > TOUCHING] += 1
     assert min(counts.values()) > 4
@@ -85,7 +85,7 @@ def test_a_curve_that_runs_through_itself_is_found(plugin: str) -> None:
     for rise, runs_through in ((0.25, False), (0.15, True)):
         loop = np.column_stack([np.cos(turn), np.sin(turn), rise * turn / (2.0 * np.pi), 0.1 + 0.0 * turn])
         loop = np.concatenate([loop, np.add(loop[1:6], [0.0, 0.0, rise, 0.0])])
-        assert (tube_overlaps(load(plugin, loop), 0) is not None) == runs_through
+        assert (tube_overlaps(load(plugin, loop), 0, True) is not None) == runs_through
 
 
 @pytest.mark.parametrize("plugin", ["bsplinecurve", "linearcurve"])

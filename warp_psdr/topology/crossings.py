@@ -17,6 +17,7 @@ from warp_psdr.topology.kinds.exact_shapes import crossable_shapes
 from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes
 from warp_psdr.topology.kinds.tube_items import curve_shapes
 from warp_psdr.topology.tube_crossings import cut_tubes
+from warp_psdr.topology.tube_pairs import cut_tube_pairs
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -39,11 +40,23 @@ def _crossings(scene: Scene, shapes: frozenset[int] | None) -> CrossingCurves | 
         moved = None if shapes is None or i in shapes else shapes
         found.append((i, kept(scene, ("cut grid", i, moved), functools.partial(cut_grid, scene, i, moved))))
     found += [(j, cut_pair(scene, i, j)) for i, j in exact_pairs(scene, shapes)]
-    tubes = [(i, *cut_tubes(scene, i, shapes)) for i in curve_shapes(scene)]
+    curves = curve_shapes(scene)
+    tubes = [(i, *_beside_others(*cut_tubes(scene, i, shapes))) for i in curves]
+    for n, i in enumerate(curves):
+        for j in curves[n:]:
+            if shapes is None or i in shapes or j in shapes:
+                tubes.append(
+                    (j, *kept(scene, ("cut tube pairs", i, j), functools.partial(cut_tube_pairs, scene, i, j)))
+                )
     others = sum(len(chords.faces) for _shape, chords in found)
-    segments = np.concatenate([np.zeros(others, np.int64), *(t[2] for t in tubes)])
-    places = np.concatenate([np.zeros(others), *(t[3] for t in tubes)])
+    segments = np.concatenate([np.zeros((others, 2), np.int64), *(t[2] for t in tubes)])
+    places = np.concatenate([np.zeros((others, 2)), *(t[3] for t in tubes)])
     return _upload(scene, [*found, *(t[:2] for t in tubes)], segments, places)
+
+
+def _beside_others(chords: Chords, segments: np.ndarray, places: np.ndarray) -> tuple[Chords, np.ndarray, np.ndarray]:
+    """Return chords of tubes and meshes with the segments and places of both."""
+    return chords, np.stack([0 * segments, segments], axis=1), np.stack([0.0 * places, places], axis=1)
 
 
 def _upload(
@@ -61,8 +74,8 @@ def _upload(
     curves.cdf = wp.array(cumulative(length), dtype=wp.float32, device=scene.device)
     curves.points = wp.array(points.astype(np.float32), dtype=wp.vec3, device=scene.device, ndim=2)
     curves.faces = wp.array(faces.astype(np.int32), dtype=wp.vec2i, device=scene.device)
-    curves.segments = wp.array(segments.astype(np.int32), dtype=wp.int32, device=scene.device)
-    curves.places = wp.array(places.astype(np.float32), dtype=wp.float32, device=scene.device)
+    curves.segments = wp.array(segments.astype(np.int32), dtype=wp.vec2i, device=scene.device)
+    curves.places = wp.array(places.astype(np.float32), dtype=wp.vec2, device=scene.device)
     curves.low, curves.high = (
         wp.array(np.ascontiguousarray(spans[:, e]), dtype=wp.float32, device=scene.device) for e in (0, 1)
     )

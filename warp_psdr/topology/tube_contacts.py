@@ -13,14 +13,14 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.primitive.curves_overlap import FINER, find_pierced
+from warp_psdr.kernels.primitive.curves_overlap import FINER, find_overlaps, find_pierced
 from warp_psdr.scene.kinds.bsplinecurve import coefficients
 from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.scene.kinds.sdfgrid import is_passed
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.kinds.exact_shapes import pose, with_exact_shapes
 from warp_psdr.topology.kinds.grid_silhouettes import grid_shapes, grid_values, is_smooth_grid
-from warp_psdr.topology.kinds.tube_items import curve_shapes
+from warp_psdr.topology.kinds.tube_items import curve_shapes, follows
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 #: Boxes that are compared with others at once.
 CHUNK = 512
-#: Pairs of a triangle and a segment for which there is room at first.
+#: Pairs of a triangle and a segment, or of cones, for which there is room at first.
 ROOM = 4096
 
 
@@ -74,6 +74,34 @@ def pierced_segments(scene: Scene, shape: int, corners: np.ndarray, nearly: bool
         room = needed
     found = np.unique(pairs.numpy()[:needed], axis=0).astype(np.int64)
     return np.stack([near[found[:, 0]], found[:, 1]], axis=1)
+
+
+def overlapping(scene: Scene, shape: int, other: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return where two shapes of curves, or one, run through each other; a row is a pair of cones.
+
+    Straight segments that are joined do not count: their cones meet in a crease (``tube_items.py``).
+
+    Returns:
+        segments (N, 2), spheres (N, 4) around what cones have in common, and (N, 2): the length of the first one's axis
+        in there, and the smaller radius.
+    """
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
+    records = [scene.face_count + scene.builder.primitives.index(i) for i in (shape, other)]
+    count, room = wp.zeros(1, dtype=wp.int32, device=scene.device), ROOM
+    while True:
+        count.zero_()
+        out = [wp.zeros(room, dtype=t, device=scene.device) for t in (wp.vec2i, wp.vec4, wp.vec2)]
+        launch(find_overlaps, len(curves.firsts), [scene.data(), *records], [count, *out], device=scene.device)
+        needed = int(count.numpy()[0])
+        if needed <= room:
+            break
+        room = needed
+    pairs, places, lengths = (a.numpy()[:needed] for a in out)
+    keep = np.ones(len(pairs), bool)
+    if shape == other and not curves.cubic:
+        keep = ~((pairs[:, 1] - pairs[:, 0] == 1) & follows(curves.firsts)[pairs[:, 0]])
+    return pairs[keep].astype(np.int64), places[keep], lengths[keep].astype(np.float64)
 
 
 def cones_along(scene: Scene, shape: int) -> np.ndarray:

@@ -64,7 +64,7 @@ def _cone(a: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return v, np.linalg.norm(p - here[:, :3], axis=1) - here[:, 3]
 
 
-class _Segments:
+class TubeSegments:
     """Segments of curves (P of them, any may come twice) in the world, as polynomials."""
 
     def __init__(self, points: np.ndarray, firsts: np.ndarray, numbers: np.ndarray, cubic: bool):
@@ -272,12 +272,12 @@ def _cut(scene: Scene, shape: int, points: np.ndarray, pairs: np.ndarray) -> tup
     for start in range(0, max(len(pairs), 1), PAIRS):
         faces, numbers = pairs[start : start + PAIRS].T
         corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
-        tubes = _Segments(points, curves.firsts, numbers, curves.cubic)
+        tubes = TubeSegments(points, curves.firsts, numbers, curves.cubic)
         whole, rings = tubes.rings(corners)
         ends = np.stack([rings, np.roll(rings, -1, axis=1)], axis=2).reshape(-1, 2, 3)
         every = np.repeat(whole, RING)
         rest = np.setdiff1d(np.arange(len(faces)), whole)
-        others = _Segments(points, curves.firsts, numbers[rest], curves.cubic)
+        others = TubeSegments(points, curves.firsts, numbers[rest], curves.cubic)
         field = Field(others.phi, others.near, others.ends, others.sides, np.eye(3), np.zeros(3), STEPS, True)
         chords = cut(field, corners[rest], faces[rest])
         found.append(Chords(ends, faces[every], np.tile([0.0, 1.0], (len(ends), 1)), every))
@@ -300,7 +300,7 @@ def resting_end(scene: Scene, shapes: frozenset[int] | None) -> tuple[int, int] 
         pairs, points = _pairs(scene, i, shapes), world_points(scene, i)
         for start in range(0, len(pairs), PAIRS):
             faces, numbers = pairs[start : start + PAIRS].T
-            tubes = _Segments(points, curves.firsts, numbers, True)
+            tubes = TubeSegments(points, curves.firsts, numbers, True)
             corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
             rows = np.arange(len(faces))
             for end, there in ((0.0, tubes.begins), (1.0, ~tubes.followed)):

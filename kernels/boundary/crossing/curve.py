@@ -37,8 +37,8 @@ class CrossingCurves:
     cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, n + 1
     points: wp.array2d(dtype=wp.vec3)  # (n, 2) both ends
     faces: wp.array(dtype=wp.vec2i)  # numbers of the two faces
-    segments: wp.array(dtype=wp.int32)  # of a tube, which is the second face: its segment
-    places: wp.array(dtype=wp.float32)  # and about the place along it
+    segments: wp.array(dtype=wp.vec2i)  # of faces that are tubes: their segments
+    places: wp.array(dtype=wp.vec2)  # and about the places along them
     low: wp.array(dtype=wp.float32)  # part of the chord that is on both surfaces, in [0, 1]
     high: wp.array(dtype=wp.float32)
 
@@ -50,8 +50,10 @@ class CrossingPoint:
     valid: wp.int32
     face_a: wp.int32
     face_b: wp.int32
-    segment: wp.int32  # of a tube, which is b
-    place: wp.float32  # about where along it
+    segment_a: wp.int32  # of a tube
+    segment_b: wp.int32
+    place_a: wp.float32  # about where along it
+    place_b: wp.float32
     x: wp.vec3
     n_a: wp.vec3  # unit normals, of any side
     n_b: wp.vec3
@@ -80,8 +82,12 @@ def make_crossing_point(primitives: tuple[int, ...]):
         faces = curves.faces[n]
         r.face_a = faces[0]
         r.face_b = faces[1]
-        r.segment = curves.segments[n]
-        r.place = curves.places[n]
+        segments = curves.segments[n]
+        r.segment_a = segments[0]
+        r.segment_b = segments[1]
+        places = curves.places[n]
+        r.place_a = places[0]
+        r.place_b = places[1]
         a = scene.triangles[r.face_a]
         b = scene.triangles[r.face_b]
         r.step = wp.max(step_off(scene, a), step_off(scene, b))
@@ -90,8 +96,8 @@ def make_crossing_point(primitives: tuple[int, ...]):
         off = wp.float32(0.0)
         k = wp.int32(0)
         while k < NEWTON:
-            f = level_at(scene, r.face_a, r.segment, r.place, x)
-            g = level_at(scene, r.face_b, r.segment, r.place, x)
+            f = level_at(scene, r.face_a, r.segment_a, r.place_a, x)
+            g = level_at(scene, r.face_b, r.segment_b, r.place_b, x)
             slope_a = wp.vec3(f[0], f[1], f[2])
             slope_b = wp.vec3(g[0], g[1], g[2])
             t = wp.cross(slope_a, slope_b)
@@ -137,6 +143,8 @@ def make_shows(primitives: tuple[int, ...]):
     @wp.func
     def shows(scene: Scene, point: CrossingPoint, w: wp.vec3) -> wp.bool:
         if wp.static(outside_alone):
+            if is_outside_alone(scene.triangles[point.face_a]) and wp.dot(point.n_a, w) >= 0.0:
+                return False
             if is_outside_alone(scene.triangles[point.face_b]):
                 return wp.dot(point.n_b, w) < 0.0
         return True
@@ -155,7 +163,7 @@ def make_crossing_sink(role: str, primitives: tuple[int, ...]):
     ) -> wp.float32:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         g_a, g_b = split_between(g, point.n_a, point.n_b, point.sine * point.sine)
-        total = accumulate_level(scene, target, point.face_a, point.segment, point.place, point.x, g_a)
-        return total + accumulate_level(scene, target, point.face_b, point.segment, point.place, point.x, g_b)
+        total = accumulate_level(scene, target, point.face_a, point.segment_a, point.place_a, point.x, g_a)
+        return total + accumulate_level(scene, target, point.face_b, point.segment_b, point.place_b, point.x, g_b)
 
     return accumulate_crossing

@@ -16,6 +16,8 @@ from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
 from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.primitive.curve_kinds import TUBES
+from warp_psdr.kernels.primitive.curves import is_spline
 from warp_psdr.kernels.primitive.dispatch import make_point_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig, RayConfig
@@ -172,6 +174,22 @@ def is_beside_curve(scene: Scene, s: Segment, face: wp.int32, curvature: wp.floa
     if scene.triangles[s.face1].shape == scene.triangles[face].shape:
         return False
     return 0.5 * curvature * s.t1 * s.t1 < OFF * s.step
+
+
+@functools.cache
+def make_beside_curve(primitives: tuple[int, ...]):
+    """Return ``is_beside_curve``; of B-splines, which may run through themselves, x_1 may be on the same shape."""
+    if TUBES.number not in primitives:
+        return is_beside_curve
+
+    @wp.func
+    def is_beside_any_curve(scene: Scene, s: Segment, face: wp.int32, curvature: wp.float32) -> wp.bool:
+        tri = scene.triangles[face]
+        if scene.triangles[s.face1].shape == tri.shape and not is_spline(tri):
+            return False
+        return 0.5 * curvature * s.t1 * s.t1 < OFF * s.step
+
+    return is_beside_any_curve
 
 
 @wp.func

@@ -20,7 +20,7 @@ from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.path_space.secondary import moves
 from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
-from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end
+from warp_psdr.kernels.boundary.silhouette.ends import make_beside_curve, make_sensor_end
 from warp_psdr.kernels.boundary.silhouette.table import touch_of
 from warp_psdr.kernels.boundary.silhouette.touch import MARGIN, WIDER, Passing
 from warp_psdr.kernels.boundary.transport import Segment, make_transport
@@ -48,6 +48,7 @@ def make_foreground_kernel(config: PathConfig, role: str, camera_moves: bool, fa
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
     sees = make_sees(config.rays, config.surfaces.primitives, touch.hides)
+    is_beside_curve = make_beside_curve(config.surfaces.primitives)
     accumulate_point = touch.make_sink(role)
     accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, True, config.surfaces.primitives)
     incident = make_incident(config)

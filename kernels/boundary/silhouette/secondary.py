@@ -29,7 +29,7 @@ from warp_psdr.kernels.boundary.silhouette.aim import (
     make_square_aim,
 )
 from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
-from warp_psdr.kernels.boundary.silhouette.ends import is_beside_curve, make_sensor_end, make_source_end, with_density
+from warp_psdr.kernels.boundary.silhouette.ends import make_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.table import touch_of
 from warp_psdr.kernels.boundary.silhouette.touch import DrawnItem
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -56,6 +56,7 @@ def make_touching_segment(config: PathConfig, family: str):
     source_end = make_source_end(config)
     sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
     sees = make_sees(config.rays, config.surfaces.primitives, touch.hides)
+    is_beside_curve = make_beside_curve(config.surfaces.primitives)
 
     @wp.func
     def touching_segment(

@@ -35,7 +35,7 @@ from warp_psdr.kernels.boundary.silhouette.tube_sampling import (
     seen_touch_density,
 )
 from warp_psdr.kernels.boundary.silhouette.tube_sink import make_tube_sink
-from warp_psdr.kernels.primitive.curve_kinds import CONES
+from warp_psdr.kernels.primitive.curve_kinds import CONES, CURVES
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.structs import Scene
 
@@ -176,6 +176,6 @@ def make_tube_touch(primitives: tuple[int, ...], sampler_kind: str) -> Touch:
         draw_guided=draw_guided_tube, seen=drawn_tube_seen, own=tube_own, passing=tube_passing,
         ahead=ahead_of_tube, meets=tube_meets, scale=tube_scale, own_scale=tube_own_scale, own_density=tube_own_density,
         aimed_density=tube_aimed_density, weigh=weigh_tube, outline=tube_outline, held=tube_coordinates,
-        make_sink=make_sink, tries=LOOKS, hides=(CONES.number,),
+        make_sink=make_sink, tries=LOOKS, hides=CURVES,
         creases=CONES.number in primitives,
     )  # fmt: skip

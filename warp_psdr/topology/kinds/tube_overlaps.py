@@ -1,9 +1,11 @@
-"""Tubes that run through each other: the share of their outlines that the boundary term leaves out.
+"""Curves of intersection of tubes that the boundary term leaves out, as a share of the outlines.
 
-Two tubes meet in a curve of intersection, for which there is no term. Its length is bounded by 2 l + 4 pi r: l is the
-length of one axis inside of the other tube, piece by piece, and r the smaller radius, of the circles where they leave
-each other. The share is this over the length of the silhouettes, two along each tube. What lies inside of a closed and
-opaque mesh, with the camera outside, is not seen, and counts in neither.
+Where two segments run through each other, their common curve is known (``tube_pairs.py``). One segment of a B-spline
+that crosses itself has none, and no curve of two tubes is followed through smooth mirrors and glass. The length that
+is left out is bounded by 2 l + 4 pi r: l is the length of one axis inside of the other tube, piece by piece, and r the
+smaller radius, of the circles where they leave each other. The share is this over the length of the silhouettes, two
+along each tube. What lies inside of a closed and opaque mesh, with the camera outside, is not seen, and counts in
+neither.
 """
 
 from __future__ import annotations
@@ -16,14 +18,14 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.primitive.curves_overlap import find_buried, find_overlaps
+from warp_psdr.kernels.primitive.curves_overlap import find_buried
 from warp_psdr.scene.kinds.curve import Curves
 from warp_psdr.scene.load import SceneWarning
 from warp_psdr.scene.materials.bsdfs import model_of
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.kinds.tube_items import curve_shapes, follows
-from warp_psdr.topology.tube_contacts import cones_along
+from warp_psdr.topology.tube_contacts import cones_along, overlapping
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -31,13 +33,11 @@ if TYPE_CHECKING:
 
 #: Largest share of the silhouettes' length that gradients leave out.
 LARGEST_SHARE = 0.02
-#: Pairs of cones for which there is room at first.
-ROOM = 4096
 
 
 @dataclass(frozen=True)
 class Overlaps:
-    """Tubes that run through each other in sight.
+    """Tubes that run through each other in sight, along curves without a term.
 
     Attributes:
         share: bound of the length of their curves of intersection, over that of the silhouettes.
@@ -75,21 +75,27 @@ class Overlaps:
         return "crossing tubes", "their common curves are left out", f"{share}: {self.described()}"
 
 
-def tube_overlaps(scene: Scene, sensor: int) -> Overlaps | None:
-    """Return what tubes that run through each other leave out before a camera; None: none do."""
+def tube_overlaps(scene: Scene, sensor: int, mirrors: bool) -> Overlaps | None:
+    """Return what tubes that run through each other leave out before a camera; None: nothing.
+
+    ``mirrors``: beside smooth mirrors and glass.
+    """
     if not curve_shapes(scene):
         return None
     view = camera_view(scene, sensor)
-    return kept(scene, ("tube overlaps", view.numbers()), lambda: _found(scene, view))
+    return kept(scene, ("tube overlaps", view.numbers(), mirrors), lambda: _found(scene, view, mirrors))
 
 
-def _found(scene: Scene, view: CameraView) -> Overlaps | None:
+def _found(scene: Scene, view: CameraView, mirrors: bool) -> Overlaps | None:
     found = curve_shapes(scene)
     meshes = None
     total, longest, named, count = 0.0, 0.0, "", 0
     for number, i in enumerate(found):
         for j in found[number:]:
-            pairs, places, lengths = _overlaps(scene, i, j)
+            pairs, places, lengths = overlapping(scene, i, j)
+            if not mirrors:
+                own = (i == j) & (pairs[:, 0] == pairs[:, 1])
+                pairs, places, lengths = pairs[own], places[own], lengths[own]
             if not len(pairs):
                 continue
             meshes = _closed(scene, view) if meshes is None else meshes
@@ -121,24 +127,6 @@ def _numbers(scene: Scene, shape: int) -> np.ndarray:
     curves = scene.geometry(shape)
     assert isinstance(curves, Curves)
     return np.concatenate([[0], np.cumsum(~follows(curves.firsts))[:-1]])
-
-
-def _overlaps(scene: Scene, shape: int, other: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what ``find_overlaps`` does of two shapes of curves, or of one."""
-    curves = scene.geometry(shape)
-    assert isinstance(curves, Curves)
-    records = [scene.face_count + scene.builder.primitives.index(i) for i in (shape, other)]
-    count, room = wp.zeros(1, dtype=wp.int32, device=scene.device), ROOM
-    while True:
-        count.zero_()
-        out = [wp.zeros(room, dtype=t, device=scene.device) for t in (wp.vec2i, wp.vec4, wp.vec2)]
-        launch(find_overlaps, len(curves.firsts), [scene.data(), *records], [count, *out], device=scene.device)
-        needed = int(count.numpy()[0])
-        if needed <= room:
-            break
-        room = needed
-    pairs, places, lengths = (a.numpy()[:needed] for a in out)
-    return pairs, places, lengths.astype(np.float64)
 
 
 def _closed(scene: Scene, view: CameraView) -> list[wp.Mesh]:
