@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: Longest side of a small triangle, over the smaller radius.
-FINE = 0.2
-#: Parts of a segment along and around it, from which halving starts.
-ALONG, AROUND = 4, 6
+FINE = 0.4
+#: Parts around a segment, of pieces that are as long as the second number times its radius.
+AROUND, LONG = 16, 0.4
 #: Distance along a curve, over the radius, up to which its own parts are next to each other.
 APART = 2.0
 #: How far from it points at equal parameters may lie, over what is sampled.
@@ -123,12 +123,18 @@ def cut_tube_pairs(scene: Scene, shape: int, other: int) -> tuple[Chords, np.nda
     return Chords(points, faces, spans, rows), pairs[rows], places
 
 
+def _segments(scene: Scene, shape: int, numbers: np.ndarray) -> TubeSegments:
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
+    return TubeSegments(world_points(scene, shape), curves.firsts, numbers, curves.cubic)
+
+
 def _along(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the numbers (S,) of the curves that segments are of, where these begin along them, and their lengths."""
     curves = scene.geometry(shape)
     assert isinstance(curves, Curves)
     every = np.arange(len(curves.firsts))
-    tubes = TubeSegments(world_points(scene, shape), curves.firsts, every, curves.cubic)
+    tubes = _segments(scene, shape, every)
     places = np.tile(np.linspace(0.0, 1.0, PLACES)[:, None], len(every))
     length = np.linalg.norm(np.diff(tubes.at(places, every)[..., :3], axis=0), axis=2).sum(axis=0)
     number = np.concatenate([[0], np.cumsum(~follows(curves.firsts))[:-1]])
@@ -137,10 +143,7 @@ def _along(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray
 
 def _cut(scene: Scene, shape: int, other: int, pairs: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return both ends of chords (N, 2, 3), the rows (N,) of pairs (P, 2) of segments, and places (N, 2) on these."""
-    a, b = (
-        TubeSegments(world_points(scene, i), scene.geometry(i).firsts, pairs[:, k], scene.geometry(i).cubic)
-        for k, i in enumerate((shape, other))
-    )
+    a, b = (_segments(scene, i, pairs[:, k]) for k, i in enumerate((shape, other)))
     covered = _Covered(a, ~a.followed)
     reach = APART * np.maximum(a.radius, b.radius)
     number, begin, length = _along(scene, shape)
@@ -179,14 +182,7 @@ def _cut(scene: Scene, shape: int, other: int, pairs: np.ndarray) -> tuple[np.nd
         return found
 
     # ---- Small triangles in both parameters, as long as what they stand for ----
-    u, t = np.linspace(0.0, 1.0, ALONG + 1), np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
-    corner = np.stack(np.meshgrid(u, t, indexing="ij"), axis=-1)
-    p, q, r, s = (corner[i : i + ALONG, j : j + AROUND].reshape(-1, 2) for i, j in ((0, 0), (1, 0), (1, 1), (0, 1)))
-    part = np.concatenate([np.stack([p, q, r], axis=1), np.stack([p, r, s], axis=1)])
-    of = np.repeat(np.arange(len(pairs)), len(part))
-    local = np.tile(part, (len(pairs), 1, 1))
-    local[..., 0] *= covered.high[of][:, None]
-    local = np.concatenate([local * covered.scales[of][:, None], np.zeros((*local.shape[:2], 1))], axis=2)
+    of, local = _covering(covered, b)
     field = Field(
         phi=lambda x, owners: b.phi(point(x, of[owners]), of[owners]),
         near=near,
@@ -210,6 +206,36 @@ def _cut(scene: Scene, shape: int, other: int, pairs: np.ndarray) -> tuple[np.nd
     places = np.clip(places, 0.0, 1.0)
     kept = np.linalg.norm(points[:, 1] - points[:, 0], axis=1) > 0.0
     return points[kept], rows[kept], places[kept]
+
+
+def _covering(covered: _Covered, other: TubeSegments) -> tuple[np.ndarray, np.ndarray]:
+    """Return the rows (M,) of pairs, and triangles (M, 3, 3) that cover what of the first segments is near the second.
+
+    The third coordinate is 0; the first two are the parameters times their scales.
+    """
+    rows = np.arange(len(covered.high))
+    low, high = np.zeros(len(rows)), covered.high.copy()
+    done: list[tuple[np.ndarray, ...]] = []
+    while len(rows):
+        half = 0.5 * (high - low) * covered.scales[rows, 0]
+        radius = covered.tubes.radius[rows]
+        middle = covered.tubes.at(covered.place(0.5 * (low + high)), rows)[:, :3]
+        keep = other.near(middle, half + radius, rows)
+        short = keep & (2.0 * half <= LONG * radius)
+        done.append((rows[short], low[short], high[short]))
+        keep &= ~short
+        rows, low, high = rows[keep], low[keep], high[keep]
+        middle = 0.5 * (low + high)
+        rows, low, high = np.tile(rows, 2), np.concatenate([low, middle]), np.concatenate([middle, high])
+    rows, low, high = (np.concatenate([d[k] for d in done]) for k in range(3))
+    turn = np.linspace(0.0, 2.0 * np.pi, AROUND + 1)
+    first, second = np.tile(turn[:-1], len(rows)), np.tile(turn[1:], len(rows))
+    rows, low, high = (np.repeat(x, AROUND) for x in (rows, low, high))
+    p, q, r, s = (np.stack([x, y], axis=1) for x, y in ((low, first), (high, first), (high, second), (low, second)))
+    local = np.concatenate([np.stack([p, q, r], axis=1), np.stack([p, r, s], axis=1)])
+    of = np.tile(rows, 2)
+    local = local * covered.scales[of][:, None]
+    return of, np.concatenate([local, np.zeros((*local.shape[:2], 1))], axis=2)
 
 
 def _onto(a: TubeSegments, b: TubeSegments, points: np.ndarray, rows: np.ndarray) -> np.ndarray:
