@@ -131,3 +131,41 @@ def test_guiding_follows_what_abuts() -> None:
         move(params, {name: base})
         psdr.guiding.reset(scene)
     assert beside == [True, False, True]
+
+
+def brick():
+    """A box on a plate that is cut along the line on which one of its sides stands: edges of four triangles."""
+    x, y = np.meshgrid([-1.5, 0.25, 1.5], [-1.5, -0.3, 0.4, 1.5], indexing="ij")
+    quads = np.array([[0, 4, 5], [0, 5, 1]])
+    plate = mesh(
+        np.stack([x, y, 0.0 * x], axis=2).reshape(-1, 3),
+        np.concatenate([quads + 4 * i + j for i in (0, 1) for j in range(3)]),
+        RED,
+    )
+    view = camera((1.8, -2.6, 1.7), (0.0, 0.0, 0.1))
+    return {
+        "sensor": view, "plate": plate, "brick": box((-0.05, 0.05, 0.25), (0.3, 0.35, 0.25), BLUE),
+        "light": panel((1.5, 0.3, 2.5), 0.5), "sky": sky(),
+    }  # fmt: skip
+
+
+register({"brick": brick})
+BRICK = [
+    Case("brick", name, moved(0.6, 0.8, 0.0), 0.004, "slides", depth=3, spp=1024)
+    for name in ("brick.vertex_positions", "plate.vertex_positions")
+]
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_slides_on_a_cut_plate_moves_along_the_contact() -> None:
+    """Edges of four triangles move as curves of intersection: no warning, and a derivative."""
+    scene, params = load("brick")
+    slide = {"brick.vertex_positions": np.broadcast_to(np.float32([0.6, 0.8, 0.0]), (8, 3))}
+    image = psdr.render_forward(scene, params, slide, integrator=psdr.PathIntegrator(max_depth=2), spp=4)
+    assert np.abs(image.numpy()).max() > 0.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("case", BRICK, ids=str)
+def test_a_brick_slides_on_a_cut_plate(case) -> None:
+    assert_agrees(derivatives(case, "forward"), differences(case)[2])

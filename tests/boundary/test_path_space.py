@@ -6,7 +6,7 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import assert_transposes
-from .scenes import T, camera, diffuse, floor, load, mesh, occluder, panel, sky, under
+from .scenes import T, camera, diffuse, floor, load, mesh, occluder, panel, under
 
 OCCLUDER = "occluder.vertex_positions"
 
@@ -134,13 +134,7 @@ def test_the_plan_says_which_method_it_chose() -> None:
     assert psdr.plan(scene, params, integrator=psdr.PathIntegrator()).boundary is None
 
 
-FLUSH = ([[0, 0, 1], [1, 0, 1], [0, 1, 1], [0, 0, 2]], [[0, 1, 2], [0, 3, 1]])
 UNCOVERED = {
-    "shared edge": (
-        under(sky()) | {"occluder": mesh(*FLUSH, diffuse(0.5)), "base": mesh(*FLUSH, diffuse(0.5))},
-        2,
-        "more than two triangles",
-    ),
     "cone": (
         under({"type": "spot", "to_world": T.translate([0, 0, 3]), "cutoff_angle": 20.0, "beam_width": 20.0}),
         2,

@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes
 from warp_psdr.kernels.bsdf.model import key_of
@@ -19,7 +17,6 @@ from warp_psdr.plan.needs import needs, unknown_to_boundary
 from warp_psdr.rows import reparametrised
 from warp_psdr.scene.layout import NORMALS, POSITIONS, SHAPE_POSE, TEXCOORDS, TO_UV
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.intersection_curves import scene_curves
 from warp_psdr.topology.light_frames import has_hard_frame, unknown_steps
 
@@ -106,7 +103,7 @@ def refuse_own_shape(scene: Scene, sensor: int, names: list[str]) -> None:
 def _uncovered(scene: Scene, config: PathConfig, names: list[str], method: Method) -> str:
     """Say why the boundary term cannot be estimated; empty: it can."""
     if config.shown:  # of what lights, materials and textures do nothing is seen
-        return _in_many_faces(scene, names)
+        return ""
     if has_chain_lobes(config.surfaces.bsdfs, config.media is not None):
         crowded = [
             (shape.path, key_of(bsdf.model, bsdf.variant, bsdf.children))
@@ -126,16 +123,7 @@ def _uncovered(scene: Scene, config: PathConfig, names: list[str], method: Metho
         edge = _unknown_edge_of_light(scene, config, e)
         if edge:
             return edge
-    return _in_many_faces(scene, names)
-
-
-def _in_many_faces(scene: Scene, names: list[str]) -> str:
-    """Say which shapes meet in an edge of more than two triangles; empty: none of those that move."""
-    pair = _shared_by_many(scene, set(motion(scene, names).shapes))
-    if pair is None:
-        return ""
-    a, b = (scene.description.shapes[i].path for i in pair)
-    return f"shapes {a!r} and {b!r} meet in an edge of more than two triangles; move them apart, by a little"
+    return ""
 
 
 def sliding_heights(scene: Scene, config: PathConfig, names: list[str], geometry: bool) -> str:
@@ -198,19 +186,3 @@ def _unknown_edge_of_light(scene: Scene, config: PathConfig, e: Emitter) -> str:
         if there:
             return f"{FRAME}, which is not known beside {what}; {LIGHT_FRAME.instead}"
     return ""
-
-
-def _shared_by_many(scene: Scene, shapes: set[int]) -> tuple[int, int] | None:
-    """Return two shapes, one of which moves, that meet in an edge of more than two triangles; None: there are none.
-
-    Which of their velocities such an edge has depends on the direction in which it is seen.
-    """
-    edges = scene_adjacency(scene)
-    if not len(edges.length):
-        return None
-    of = scene.builder.face_shape[edges.faces]
-    start = edges.first[:-1]
-    moves = np.logical_or.reduceat(np.isin(of, sorted(shapes)), start)
-    low, high = np.minimum.reduceat(of, start), np.maximum.reduceat(of, start)
-    found = np.flatnonzero((edges.count > 2) & (low != high) & moves)
-    return (int(low[found[0]]), int(high[found[0]])) if len(found) else None

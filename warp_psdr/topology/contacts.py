@@ -22,6 +22,7 @@ from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.faces import face_edges
 from warp_psdr.topology.kinds.joined_rims import joined_rims
 from warp_psdr.topology.kinds.joined_rims import warn as warn_of_rims
+from warp_psdr.topology.shared_edges import goes_on
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -197,7 +198,11 @@ def _crossed(scene: Scene, velocity: np.ndarray, rest: float) -> np.ndarray:
     across, sideways = across.max(axis=1), sideways.max(axis=1)
     if max(across.max(), sideways.max()) <= rest:  # nothing that touches moves
         return found.shapes[:0]
-    moved = np.where(_on_rim(scene, corners, found.faces, x), sideways, across)
+    adjacency = scene_adjacency(scene)
+    own = face_edges(scene, adjacency)[found.sides[:, 0], (found.sides[:, 1] + 2) % 3]
+    # A side inside of a plane is no edge; where something stands on that plane, it is the other's sides that touch.
+    inside = goes_on(scene, adjacency, own, found.sides[:, 0])
+    moved = np.where(inside, 0.0, np.where(_on_rim(scene, corners, found.faces, x), sideways, across))
     return np.unique(np.sort(found.shapes[moved > rest], axis=1), axis=0)
 
 
@@ -243,14 +248,14 @@ def _on_rim(scene: Scene, corners: np.ndarray, faces: np.ndarray, x: np.ndarray)
     of = scene.builder.face_shape[adjacency.faces]
     other = np.minimum(adjacency.first[:-1] + 1, len(of) - 1)
     ends = (adjacency.wedge > 0.0) | ((adjacency.count == 2) & (of[adjacency.first[:-1]] != of[other]))
-    turns = (edges >= 0) & ends[edges]
+    turns = (edges >= 0) & ends[edges] & ~goes_on(scene, adjacency, edges, faces[:, None])
     return (turns & _along(scene, corners, x)).any(axis=1)
 
 
 def _torn(scene: Scene, velocity: np.ndarray, rest: float) -> int:
     """Return a shape whose vertices of one position move apart at an edge, -1: there is none."""
     edges = scene_adjacency(scene)
-    split = np.flatnonzero((edges.ends != edges.twins).any(axis=1))
+    split = np.flatnonzero((edges.ends != edges.twins).any(axis=1) & (edges.count == 2))
     apart = velocity[edges.ends[split]] - velocity[edges.twins[split]]
     tangent = edges.points[split, 1] - edges.points[split, 0]
     tangent = tangent / np.maximum(edges.length[split], 1e-300)[:, None]

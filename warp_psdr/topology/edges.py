@@ -13,6 +13,7 @@ from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
 from warp_psdr.progress import say
 from warp_psdr.scene.lights.light_sampling import cumulative
+from warp_psdr.topology.shared_edges import put_first
 from warp_psdr.topology.t_junctions import cut_sides
 from warp_psdr.topology.welding import components, stable_order, still_welded, weld, weld_shapes
 
@@ -217,7 +218,8 @@ def _topology(
         turned = group.take(a) > group.take(b)
         return np.stack([np.where(turned, b, a), np.where(turned, a, b)], axis=1).astype(np.int32)
 
-    second = np.where(np.diff(first) == 2, first[:-1] + 1, first[:-1])
+    order, shared = put_first(order, first, face, shape[triangles[:, 0]], normals)
+    second = np.where(shared | (np.diff(first) == 2), first[:-1] + 1, first[:-1])
     return Topology(
         ends=ends(order[first[:-1]]),
         twins=ends(order[second]),
