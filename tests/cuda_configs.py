@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from tests.config_helpers import LIGHTS, SIMPLE, TEXTURES, changed, joined, materials, wanted
+from tests.config_helpers import LIGHTS, SIMPLE, TEXTURES, changed, everything, joined, materials, wanted
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import VARIANTS
 from warp_psdr.kernels.primitive import table as K
@@ -97,3 +97,31 @@ TIMED = changed(SIMPLE, others=(c.EMITTER_POINT, c.EMITTER_SPOT), one_light=Fals
 TIMED_GAUSSIAN = replace(TIMED, pulse=PULSE_GAUSSIAN)
 GEOMETRY = wanted(SIMPLE, "reflectance", shapes=True)
 MAPPED = changed(SIMPLE, **materials("normalmap(roughconductor (ggx))"), tangent=True)
+
+
+def all_of(config):
+    return everything(
+        config,
+        to_uv=True,
+        shapes=True,
+        texcoords=True,
+        radiance=True,
+        lights=("radiance", "pose"),
+        camera=True,
+        bends=True,
+    )
+
+
+def still(config):
+    """Textbook replay takes no moving vertices behind delta lobes."""
+    return everything(config, radiance=True, lights=("radiance", "pose"))
+
+
+def media(config):
+    """All of media, and what does not move beside them."""
+    everywhere = ("sigma_t", "albedo", "scale", "emission", "phase")
+    return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
+
+
+def moving_among_media(config):
+    return wanted(config, shapes=True, texcoords=True, lights=("pose",), camera=True)

@@ -58,6 +58,10 @@ from tests.cuda_configs import (
     THROUGH,
     TIMED,
     TIMED_GAUSSIAN,
+    all_of,
+    media,
+    moving_among_media,
+    still,
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.guiding.path_segments import BLOCKED_LIGHT, SCATTERED
@@ -94,24 +98,6 @@ def moving(config):
     return wanted(config, "ior", shapes=True, camera=True, bends=True)
 
 
-def all_of(config):
-    return everything(
-        config,
-        to_uv=True,
-        shapes=True,
-        texcoords=True,
-        radiance=True,
-        lights=("radiance", "pose"),
-        camera=True,
-        bends=True,
-    )
-
-
-def still(config):
-    """Textbook replay takes no moving vertices behind delta lobes."""
-    return everything(config, radiance=True, lights=("radiance", "pose"))
-
-
 def roughness_of(config):
     """The roughnesses of metal."""
     return GradientRequest(material=tuple(slot.name in MOVED_BY for slot in config.surfaces.material))
@@ -120,16 +106,6 @@ def roughness_of(config):
 def shapes_of(config):
     """The material values that are branched."""
     return GradientRequest(material=branched_values(config.surfaces, everything(config)))
-
-
-def media(config):
-    """All of media, and what does not move beside them."""
-    everywhere = ("sigma_t", "albedo", "scale", "emission", "phase")
-    return everything(config, to_uv=True, radiance=True, lights=("radiance",), media=everywhere)
-
-
-def moving_among_media(config):
-    return wanted(config, shapes=True, texcoords=True, lights=("pose",), camera=True)
 
 
 #: Configurations that together hold every model, texture kind, light, sampler and filter.
