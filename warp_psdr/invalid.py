@@ -73,6 +73,8 @@ KINDS = (
     "through_mirrors",
     "texture_steps",
     "sliding_steps",
+    "film_tube_steps",
+    "vertex_tube_steps",
     "light_frame",
     "film_border",
     "path_warped_area",

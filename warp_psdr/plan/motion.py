@@ -91,14 +91,19 @@ def seen_steps(scene: Scene, config: PathConfig, moves: Motion) -> frozenset[tup
     """Return the (shape, texture) whose steps move against the points that the camera sees."""
     if config.material_first:
         return moves.steps
-    still = not (moves.camera or moves.shapes)
-    slide = {i for i in scene.builder.primitives if not still and not scene.geometry(i).is_material}
     carried = {
         (shape, number)
         for shape, textures in scene.builder.stepped.items()
         for number in textures
-        if moves.camera or shape in moves.shapes | slide
+        if moves.camera or shape in moves.shapes
     }
+    return moves.steps | carried
+
+
+def sliding_steps(scene: Scene, moves: Motion) -> frozenset[tuple[int, int]]:
+    """Return the (shape, texture) whose steps move against path vertices that slide along rays."""
+    slide = {i for i in scene.builder.primitives if moves.shapes and not scene.geometry(i).is_material}
+    carried = {(shape, number) for shape in slide for number in scene.builder.stepped.get(shape, ())}
     return moves.steps | carried
 
 

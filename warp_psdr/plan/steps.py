@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
-from warp_psdr.plan.motion import motion, seen_steps
+from warp_psdr.plan.motion import motion, seen_steps, sliding_steps
 from warp_psdr.scene.layout import TEXCOORDS
 from warp_psdr.topology.texture_steps import on_seams, too_many
+from warp_psdr.topology.tube_steps import on_curves, slide_on_seams, too_many_on_tubes
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -37,7 +38,9 @@ def slides(scene: Scene, name: str) -> bool:
 def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) -> str:
     """Say why the boundary term of steps that move cannot be estimated; empty: it can, or none move."""
     moves = motion(scene, names)
-    listed = shown = seen_steps(scene, config, moves)
+    listed = seen_steps(scene, config, moves)
+    tubes = on_curves(scene, listed | sliding_steps(scene, moves))
+    shown = listed | {(i, t) for i, t in sliding_steps(scene, moves) if i in scene.builder.primitives}
     if has_chain_lobes(config.surfaces.bsdfs, config.media is not None) and not config.material_first:
         shown |= {(i, t) for i, textures in scene.builder.stepped.items() for t in textures}
     smoother = "use a bilinear bitmap, a trilinear volume or a vertex attribute"
@@ -46,7 +49,10 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
         if scene.builder.textures[number].kind == c.TEXTURE_GRID:
             return f"{which}, and those of a 'gridvolume' are not known; {smoother}"
         if shape in scene.builder.primitives:
-            return f"{which}, and they are not known on shapes without triangles; {smoother}, or give triangles"
+            beside = _beside_tubes(config, method) if (shape, number) in tubes else "shapes without triangles"
+            if beside:
+                return f"{which}, and they are not known on {beside}; {smoother}, or give triangles"
+            continue
         if not isinstance(method, METHODS):
             return f"{which}; use boundary.PathSpace(), or {smoother[4:]}"
     if moves.steps:
@@ -57,12 +63,28 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
         ):
             if there:
                 return f"steps of a texture of {path!r} slide, which is not known beside {what}; {smoother}"
-    crowded = too_many(scene, listed)
+    crowded = too_many(scene, listed - tubes) or too_many_on_tubes(scene, tubes)
     if crowded:
         return f"{crowded}; {smoother}"
-    if moves.steps and (moves.camera or moves.shapes) and on_seams(scene, moves.steps):
+    if moves.steps - tubes and (moves.camera or moves.shapes) and on_seams(scene, moves.steps - tubes):
         return (
             f"steps of a texture of {path!r} slide along a seam of its texture coordinates, while shapes or the camera "
             "move; request these in a call of their own"
         )
+    if slide_on_seams(scene, moves.steps & tubes):
+        path = scene.description.shapes[min(moves.steps & tubes)[0]].path
+        return (
+            f"steps of a texture of {path!r} slide where angles start anew, or over a joint; shift its to_uv a little"
+        )
     return ""
+
+
+def _beside_tubes(config: PathConfig, method: Method) -> str:
+    """Say where steps on tubes are not known; empty: they are."""
+    if has_delta_lobes(config.surfaces.bsdfs):
+        return "curves beside smooth mirrors and glass"
+    if config.media is not None:
+        return "curves beside participating media"
+    if config.camera in c.METERS or config.pulse:
+        return "curves before a sensor without a film, or a transient one"
+    return "" if isinstance(method, (PathSpace, Projective)) else f"curves by boundary.{type(method).__name__}()"

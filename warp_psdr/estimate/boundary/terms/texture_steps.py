@@ -15,6 +15,7 @@ from warp_psdr.options.words import words
 from warp_psdr.plan.discontinuities import SLIDING_STEPS
 from warp_psdr.plan.motion import seen_steps
 from warp_psdr.topology.texture_steps import film_lines, world_lines
+from warp_psdr.topology.tube_steps import on_curves
 
 #: Least share of the samples that the lines on the film take; they take all where they are a pixel apart.
 LEAST_SHARE = 0.125
@@ -22,7 +23,8 @@ LEAST_SHARE = 0.125
 
 def launch_seen(r: Request) -> Term | None:
     """Return the term of the steps that the camera sees move."""
-    carriers = frozenset() if r.config.shown else seen_steps(r.scene, r.config, r.moves)
+    seen = seen_steps(r.scene, r.config, r.moves)
+    carriers = frozenset() if r.config.shown else seen - on_curves(r.scene, seen)
     seams = not (r.moves.camera or r.moves.shapes)  # else they are edges that move
     found = film_lines(r.scene, r.sensor, carriers, seams) if carriers else None
     if found is None:
@@ -41,7 +43,8 @@ def slides(r: Request) -> bool:
 
 def launch_sliding(r: Request) -> Term | None:
     """Return the term of the steps that slide over surfaces, at vertices that the camera does not see."""
-    edges = world_lines(r.scene, r.moves.steps)
+    carriers = r.moves.steps - on_curves(r.scene, r.moves.steps)
+    edges = world_lines(r.scene, carriers) if carriers else None
     if edges is None:
         return None
     samples = r.pixels * (r.method.spp_secondary or r.spp)
