@@ -70,7 +70,7 @@ class Bsdf:
     two_sided: wp.int32  # 1: both sides scatter; the back side uses the record ``back``
     back: wp.int32
     slots: wp.int32  # first index in ``Scene.slots``
-    lobes: wp.int32  # bit k: the model has the lobe LOBE_* = k
+    lobes: wp.int32  # bit k: the model has the lobe LOBE_* = k; LOBE_BEHIND: a smooth one behind its surface
 
 
 @wp.struct

@@ -10,7 +10,7 @@ Derivation: ``docs/theory/boundary.md#concave-edges``.
 import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
-from warp_psdr.kernels.constants import LOBE_DELTA_TRANSMISSION, LOBE_NULL
+from warp_psdr.kernels.constants import LOBE_BEHIND, LOBE_DELTA_TRANSMISSION, LOBE_NULL
 from warp_psdr.kernels.structs import Scene
 
 #: Distance in steps at which rays pass the edge of a notch that they look into.
@@ -40,7 +40,7 @@ def shines(scene: Scene, face: wp.int32) -> wp.bool:
 @wp.func
 def refracts(scene: Scene, face: wp.int32) -> wp.bool:
     lobes = scene.bsdfs[scene.shapes[scene.triangles[face].shape].bsdf].lobes
-    return (((lobes >> LOBE_DELTA_TRANSMISSION) | (lobes >> LOBE_NULL)) & 1) == 1
+    return (((lobes >> LOBE_DELTA_TRANSMISSION) | (lobes >> LOBE_NULL) | (lobes >> LOBE_BEHIND)) & 1) == 1
 
 
 @wp.func

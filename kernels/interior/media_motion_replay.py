@@ -13,7 +13,8 @@ import warp as wp
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import LOBE_NULL
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.factors.media_motion import MovedCarry, MovedStep, make_moved_sweep
+from warp_psdr.kernels.interior.factors.media_motion import MovedCarry, make_moved_sweep
+from warp_psdr.kernels.interior.factors.moved_step import MovedStep, make_stretch
 from warp_psdr.kernels.invalid import finite, make_derivative_of_sample, vanishes
 from warp_psdr.kernels.jobs import PixelJob, make_sample_weight, pixel_of
 from warp_psdr.kernels.medium.interface import make_interface
@@ -33,6 +34,7 @@ class MovedState:
 
     media: MediaState
     start: wp.vec3  # where the direction of its ray was drawn
+    reach: wp.float32  # as of a ``MovedStep``
 
 
 @functools.cache
@@ -54,6 +56,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
     emissive = config.media.emissive
     moved_sweep, finish = make_moved_sweep(config, wanted, role)
     is_interface, behind_of = make_interface(config)
+    _stretch_of, reach_of = make_stretch(config.media.grids, config.surfaces.primitives)
     channels = 3 if role == "forward" else 1
     derivative_of_sample = make_derivative_of_sample(role)
     sample_weight = make_sample_weight(role)
@@ -109,6 +112,7 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     path = state.media.path
                     kept = MovedStep()
                     kept.start = state.start
+                    kept.reach = state.reach
                     kept.before = wp.dot(path.o - state.start, path.d)
                     vertex, after = media_step(scene, sampler, state.media, job.max_depth, job.rr_depth)
                     kept.step = vertex
@@ -126,6 +130,9 @@ def make_media_motion_kernel(config: PathConfig, wanted: GradientRequest, role: 
                     passes = vertex.surface.lobe == LOBE_NULL and is_interface(scene, vertex.surface.face)
                     if vertex.collides or not passes:
                         state.start = after.path.o
+                        state.reach = 0.0
+                    if vertex.collides:
+                        state.reach = reach_of(scene, kept)
                     state.media = after
                     if tracing:
                         radiance += wp.cw_mul(vertex.surface.throughput, vertex.surface.direct)

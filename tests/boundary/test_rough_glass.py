@@ -1,11 +1,12 @@
 """Gradient cases beside surfaces that let light pass in smooth lobes: slope of the whole derivative on differences."""
 
+import numpy as np
 import pytest
 
 import warp_psdr as psdr
 
 from .measure import Case, assert_agrees, assert_transposes, derivatives, differences, rows
-from .scenes import ball, box, camera, diffuse, floor, load, panel, register, sky
+from .scenes import ball, box, camera, diffuse, floor, load, mesh, panel, register, sky
 from .test_table import ALONG, moved, scaled
 
 VIEW = camera((0.0, -3.0, 1.6), (0.0, 0.0, 0.5), fov=40.0)
@@ -22,6 +23,16 @@ def scene(bsdf, light, smooth=False) -> dict:
     return {"sensor": VIEW, "floor": floor(), "shape": glass, "occluder": behind, **light}
 
 
+def blade(bsdf) -> dict:
+    """A prism, sharp along three edges."""
+    outline = np.array([(-0.8, -0.2), (0.8, -0.2), (0.1, 0.4)])
+    ends = np.concatenate([np.insert(outline, 1, y, axis=1) for y in (-0.5, 0.5)])
+    vertices = ends + np.array([0.0, 0.0, 0.8])
+    sides = [(0, 3, 1), (1, 3, 4), (1, 4, 2), (2, 4, 5), (2, 5, 0), (0, 5, 3)]
+    return mesh(vertices, [(0, 1, 2), (5, 4, 3), *sides], bsdf, face_normals=True)
+
+
+DIFFUSE_SHEET = {**SHEET, "roughness": 1.0, "spec_trans": 0.0, "diff_trans": 1.2}
 LAMP = {"light": panel((0.8, 0.4, 2.5), 1.5, 2.0)}
 register(
     {
@@ -32,6 +43,7 @@ register(
         "rough glass, mirror": lambda: scene(GLASS, {"sky": sky(), "floor": floor(bsdf=MIRROR)}),
         "tinted, lamp": lambda: scene(TINTED, LAMP),
         "sheet, lamp": lambda: scene(SHEET, LAMP),
+        "blade, sky": lambda: {"sensor": VIEW, "shape": blade(DIFFUSE_SHEET), "sky": sky()},
     }
 )
 SHAPE, OCCLUDER, PANEL = "shape.vertex_positions", "occluder.vertex_positions", "light.vertex_positions"
@@ -39,6 +51,7 @@ SHAPE, OCCLUDER, PANEL = "shape.vertex_positions", "occluder.vertex_positions", 
 DEEP = {"depth": 3, "spp": 1024, "difference_spp": 8192}
 CASES = [
     Case("rough glass, lamp", SHAPE, scaled, 0.02, "scales", depth=3, spp=512, difference_spp=4096),
+    Case("blade, sky", SHAPE, scaled, 0.02, "grows, next to whose edges light is met behind", difference_spp=8192),
     Case("rough glass, sky", SHAPE, ALONG, 0.01, "moves", **DEEP),
     Case("rough glass, sky", OCCLUDER, ALONG, 0.01, "what is seen through it moves", **DEEP),
     Case("rough glass, lamp", SHAPE, ALONG, 0.01, "moves", **DEEP),

@@ -296,7 +296,8 @@ class Builder:
         for i, (record, key) in enumerate(zip(self.bsdfs, self._bsdf_keys, strict=True)):
             record.model = self.models.index(key)
             record.slots = i * len(self.values)
-            record.lobes = sum(1 << lobe for lobe in declaration_of(key)[0].lobes)
+            model = declaration_of(key)[0]
+            record.lobes = sum(1 << lobe for lobe in (*model.lobes, *([c.LOBE_BEHIND] if model.passes else [])))
 
     @property
     def material(self) -> tuple[Slot, ...]:

@@ -15,9 +15,10 @@ from dataclasses import replace
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, is_diffuse
 from warp_psdr.kernels.constants import FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH, PHASE_BLEND_GRID, PHASE_SGGX
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.interior.factors.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.factors.grid_motion import (
     make_grid_emission_motion,
@@ -25,6 +26,7 @@ from warp_psdr.kernels.interior.factors.grid_motion import (
     make_grid_shadow_sink,
 )
 from warp_psdr.kernels.interior.factors.media_sweep import number_of
+from warp_psdr.kernels.interior.factors.moved_step import MovedStep, make_stretch
 from warp_psdr.kernels.interior.factors.pullback import connection_vjp
 from warp_psdr.kernels.interior.factors.shadow_motion import make_light_end_sink, make_shadow_sink
 from warp_psdr.kernels.interior.factors.sinks import make_light_sink
@@ -45,22 +47,10 @@ from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
-from warp_psdr.kernels.vertex import LightConfig, PathConfig, SurfaceConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathVertex, SurfaceConfig
 
 #: By how much strips next to mirrors and glass are wider: a medium that they bound reaches them everywhere.
 BORDER = 5.0
-
-
-@wp.struct
-class MovedStep:
-    """A step of a path, and what its ray is attached to."""
-
-    step: MediaVertex
-    start: wp.vec3  # y: where its direction was drawn
-    before: wp.float32  # distance from there to where its flight starts
-    face: wp.int32  # z: the first surface behind it that is there; -1: none
-    u: wp.float32
-    v: wp.float32
 
 
 @wp.struct
@@ -72,6 +62,15 @@ class MovedCarry:
     a_w: wp.vec3  # adjoint of the direction of the ray from y
     a_wi: wp.vec3  # what of the adjoint of y, and with the opposite sign of z, is that of the direction from z to y
     a_t: wp.float32  # adjoint of the distance from y to where the step's flight starts
+
+
+@wp.func
+def weight_of_half(scene: Scene, vertex: PathVertex) -> wp.float32:
+    """The weight chi of the connection by which a vertex was found, where D_n and what goes on are swept apart.
+
+    It is where the other half keeps a weight that nobody reads.
+    """
+    return wp.where(vertex.light >= 0, vertex.inv_pdf, vertex.light_weight)
 
 
 @functools.cache
@@ -115,9 +114,16 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     """
     assert config.media is not None
     # Transmittances are this sweep's.
-    sweep, _finish, finish_vertex = make_sweep(replace(config, through=False), wanted, role)
+    bare = replace(config, through=False)
+    # A diffuse surface does not see where light goes.
+    glossy = wanted.geometry and not is_diffuse(config.surfaces.bsdfs)
+    sweep, _finish, finish_vertex = make_sweep(bare, wanted, role, before=weight_of_half if glossy else None)
+    weight_before, _weight_of_light = make_contact_weights(
+        config.rays.backend, config.rays.width, config.surfaces.primitives
+    )
     interaction = make_interaction(config.surfaces, config.lights)
     position, cross_of = make_position(config.surfaces.primitives)
+    stretch_of, _reach_of = make_stretch(config.media.grids, config.surfaces.primitives)
     phase = make_phase(config.media.phases)
     by_cosine, by_place = make_phase_slopes(config.media.phases)
     placed = PHASE_BLEND_GRID in config.media.phases
@@ -302,6 +308,11 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
         else:
             behind = closed(scene, carry)
         result = Carry()
+        if wp.static(glossy):
+            chi = weight_before(scene, vertex)
+            if s.reach > 0.0 and vertex.face >= 0 and vertex.lobe <= LOBE_SMOOTH:
+                chi = nearness(scene, s.start, s.reach, vertex.face, vertex.u, vertex.v)
+            vertex.light_weight = chi
         of_light = v.surface.light >= 0
         count = wp.where(of_light, 2, 1)
         factor = delta
@@ -323,6 +334,9 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
             vertex.light = v.surface.light
             vertex.lobe = LOBE_NONE
             vertex.e_weight = 0.0
+            if wp.static(glossy):
+                vertex.light_weight = v.surface.light_weight
+                vertex.inv_pdf = chi
             factor = wp.cw_mul(delta, v.transmittance)
             behind = Carry()
             behind.face = -2
@@ -364,9 +378,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
         inv_length = wp.float32(0.0)
         stretch = wp.float32(0.0)
         if vertex.face >= 0:
-            far = wp.dot(position(scene.triangles[vertex.face], vertex.u, vertex.v) - s.start, d)
-            # Not the recorded length, which ends a step before the surface: it may be far shorter than what is drawn.
-            stretch = wp.max(far - s.before, v.t)
+            far, stretch = stretch_of(scene, s)
             inv_length = 1.0 / stretch
         in_grid = wp.bool(False)
         if wp.static(grids):
@@ -408,7 +420,9 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
                 a_near -= a_far
         else:
             r.end = of_surface(scene, target, sampler, s, delta, carry)
-            r.a_wi = r.end.a_x
+            if wp.static(chains):
+                if vertex.lobe > LOBE_SMOOTH:  # what smooth lobes turn has its weight
+                    r.a_wi = r.end.a_x
         r.end.radiance = wp.cw_mul(v.weight, inner)
         if wp.static(geometry):
             if wp.static(grids):

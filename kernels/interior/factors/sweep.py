@@ -47,10 +47,18 @@ class Carry:
 
 
 @functools.cache
-def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: bool = True, links: bool = True):
+def make_sweep(
+    config: PathConfig,
+    wanted: GradientRequest,
+    role: str,
+    direct: bool = True,
+    links: bool = True,
+    before: wp.Function | None = None,
+):
     """Return ``(sweep, finish, finish_vertex)``. ``direct=False``: D_n is the caller's to differentiate.
 
     ``links=False``: light points are found by directions that rest, and contacts weigh nothing.
+    ``before``: in place of ``weight_before`` of ``make_contact_weights``.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
     ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
@@ -98,6 +106,7 @@ def make_sweep(config: PathConfig, wanted: GradientRequest, role: str, direct: b
         if links
         else (no_weight_before, no_weight_of_light)
     )
+    weight_before = before or weight_before
     # The direction towards a point, spot or directional light moves with the light.
     aims = geometry or ("pose" in wanted.lights and lights is not None and lights.sample_vjp is not None)
     materials = any(wanted.material) or wanted.to_uv or aims
