@@ -28,6 +28,8 @@ from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path import vertex_of
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.phase.sggx import make_flake_length
+from warp_psdr.kernels.primitive.affine import is_primitive
+from warp_psdr.kernels.primitive.dispatch import make_leaving
 from warp_psdr.kernels.reading import triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sampling import mis_weight, sphere_pdf, square_to_sphere
@@ -45,8 +47,8 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
     shadow_ray,
 )
-from warp_psdr.kernels.step import TOUCH, largest_coordinate, step_off_triangle
-from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.step import TOUCH, largest_coordinate
+from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.transmittance import transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.visibility import visibility_of
@@ -55,6 +57,8 @@ from warp_psdr.kernels.visibility import visibility_of
 SLOTS_PER_STEP = 3
 #: Least cosine that the distance of collisions from a surface is divided by.
 GRAZING = 1.0e-4
+#: Distance, over the largest coordinate, at which float32 tells the sides of an exact sphere apart.
+TOUCH_CURVED = 1.0e-6
 #: Share of directions that are drawn from the whole sphere where derivatives by tables, which may be zero, are.
 EVERYWHERE = 0.1
 #: Depth at which no path is ended by roulette.
@@ -265,6 +269,15 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     nulls = has_null_lobes(config.surfaces.bsdfs)
     null_model = null_model_of(config.surfaces.bsdfs)
     is_interface, past = make_null_surface(config.surfaces, config.lights)
+    step_off = make_leaving(config.surfaces.primitives)
+
+    @wp.func
+    def told_apart(tri: Triangle) -> wp.float32:
+        """Distance from an interface at which float32 tells its sides apart."""
+        if wp.static(len(config.surfaces.primitives) > 0):
+            if is_primitive(tri):
+                return TOUCH_CURVED * wp.max(wp.abs(tri.normal) + wp.abs(tri.p0) + wp.abs(tri.p1) + wp.abs(tri.p2))
+        return TOUCH * largest_coordinate(tri)
 
     @wp.func
     def cross(
@@ -292,7 +305,7 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
             after.path.o = at.x
             after.skip = at.o - at.x
             cosine = wp.max(wp.abs(wp.dot(at.ng, path.d)), GRAZING)
-            after.least = TOUCH * largest_coordinate(triangle_at(scene, hit.face)) / cosine
+            after.least = told_apart(triangle_at(scene, hit.face)) / cosine
             after.path.d = path.d
             after.path.t_max = FAR
             after.path.throughput = path.throughput
@@ -339,8 +352,12 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 length = hit.t
                 # As far before the surface as rays start off it: rounded, a point would be behind it, and lost.
                 tri = triangle_at(scene, hit.face)
-                cosine = wp.max(wp.abs(wp.dot(tri.normal, path.d)), GRAZING)
-                end = hit.t - step_off_triangle(scene, tri) / cosine
+                n = tri.normal
+                if wp.static(len(config.surfaces.primitives) > 0):
+                    if is_primitive(tri):
+                        n = interaction.surface(scene, hit.face, hit.u, hit.v).ng
+                cosine = wp.max(wp.abs(wp.dot(n, path.d)), GRAZING)
+                end = hit.t - step_off(scene, tri) / cosine
             vertex.length = wp.max(end, 0.0)
             if wp.static(emissive):
                 vertex.stretch = length

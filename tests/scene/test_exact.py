@@ -32,7 +32,6 @@ def scene(**shapes) -> psdr.Scene:
         ({"face_normals": True}, "'exact' beside 'face_normals'"),
         ({"emitter": {"type": "directionalarea"}}, "an emitter but 'area' on an exact 'sphere'"),
         ({"sensor": {"type": "irradiancemeter"}}, "a sensor on an exact 'sphere'"),
-        ({"interior": {"type": "homogeneous"}, "bsdf": {"type": "null"}}, "a medium on an exact 'sphere'"),
         (
             {
                 "bsdf": {

@@ -45,7 +45,7 @@ class Replay(Method):
             (linear grids) (``docs/theory/implicit.md#normal-flow``). All other shapes have material points.
     """
 
-    knows: ClassVar[frozenset[str]] = COMMON | MEDIA | SOLIDS | words("moving_mirrors", "transient")
+    knows: ClassVar[frozenset[str]] = COMMON | MEDIA | SOLIDS | words("moving_mirrors", "solids_in_media", "transient")
 
     block: int = 8
     flow: str = "ray"

@@ -30,6 +30,7 @@ WORDS = {
     "moving_slides": Word("points that slide along rays while something moves", "make meshes of the shapes"),
     "shining": Word("exact shapes that shine", "give the light triangles"),
     "vertex_normals": Word("interpolated normals", "give face_normals"),
+    "solids_in_media": Word("participating media beside shapes without triangles", "make meshes of them"),
     # Materials
     "mirrors": Word("smooth mirrors and glass", "make them rough"),
     "moving_mirrors": Word("moving vertices behind smooth mirrors or glass", "make these rough"),
@@ -89,7 +90,6 @@ MEDIA = words("media", "moving_media", "density_grids", "microflakes", "blended_
 SOLIDS = words("material_points", "slides", "moving_slides")
 #: Word -> words that do not go with it, whatever the method.
 NEVER = {
-    "media": words("material_points", "slides"),
     "transient": words("media", "far_lights", "rough_glass"),
 }
 #: Word -> words beside which nothing that moves is followed, whatever the method.

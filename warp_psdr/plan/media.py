@@ -11,6 +11,7 @@ from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, models_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.medium.coefficients import ALBEDO, EMISSION, PHASE, POSE, SCALE, SIGMA_T
 from warp_psdr.kernels.medium.volume import GRID
+from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.materials.bsdfs import model_of
@@ -97,6 +98,8 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
     if config.media is None or wanted is None or not moves_in_media(wanted):
         return ""
+    for solid in primitives.words_of(scene).values():
+        return f"what moves beside media is not followed where there is {solid.what}; {solid.instead}"
     flakes = _microflakes(scene)
     if flakes:
         return f"what moves is not followed through {flakes}"

@@ -35,6 +35,7 @@ class Exact(Geometry):
     Without 'exact' its plugin is made of triangles (``tessellate``).
     """
 
+    bounds_media = True
     instead = "leave out 'exact': the tessellated shape takes it"
     invertible = "give all three columns an extent; that of a 'disk' along its normal is free"
     outside_groups = "leave out 'exact', or put it in the scene itself"

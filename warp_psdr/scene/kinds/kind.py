@@ -33,6 +33,7 @@ class Geometry(ABC):
     device: ClassVar[Kind]  #: what it declares there
     jumps: ClassVar[str] = ""  #: where its normals jump, so that no point flows along them
     has_uv: ClassVar[bool] = True  #: whether it has texture coordinates
+    bounds_media: ClassVar[bool] = False  #: whether it may have media for its interior and exterior
     #: What the kernels read of it, its record included, is made on the host from its values and its pose, which then
     #: needs no inverse (``follow``).
     follows_pose: ClassVar[bool] = False

@@ -32,10 +32,11 @@ OPAQUE = 1e6
 def note_media(scene: SceneDescription) -> None:
     """Add notes on what is likely a mistake about a scene's media."""
     bounding = [s for s in scene.shapes if s.interior is not None or s.exterior is not None]
-    if bounding:
-        interfaces = Interfaces(bounding)
+    meshes = [s for s in bounding if s.geometry is None]
+    if meshes:
+        interfaces = Interfaces(meshes)
         scene.notes += _about_sensors(scene, interfaces) + _about_lights(scene, interfaces)
-        scene.notes += _about_shapes(bounding, interfaces)
+        scene.notes += _about_shapes(meshes, interfaces)
     scene.notes += _about_grids(scene, bounding) + _about_thickness(scene, bounding)
 
 

@@ -143,7 +143,7 @@ def _refuse_beside(
     found = {
         "an emitter but 'area'" if geometry.shines else "an emitter": shines,
         "a sensor": measures,
-        "a medium": encloses,
+        "a medium": encloses and not geometry.bounds_media,
         "a 'bumpmap'": any("bumpmap" in (side.model, *side.children) for side in bsdf.sides),
     }
     for what in (what for what, there in found.items() if there):
