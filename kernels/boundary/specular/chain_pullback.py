@@ -15,7 +15,7 @@ from warp_psdr.kernels.boundary.path_space.media_ride import make_along
 from warp_psdr.kernels.constants import LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.factors.media_motion import make_nearness
+from warp_psdr.kernels.interior.factors.nearness import make_nearness
 from warp_psdr.kernels.interior.factors.pullback import make_frame_vjp
 from warp_psdr.kernels.interior.factors.sinks import make_material_sink
 from warp_psdr.kernels.medium.interface import make_interface, make_interface_sink

@@ -27,6 +27,7 @@ from warp_psdr.kernels.interior.factors.grid_motion import (
 )
 from warp_psdr.kernels.interior.factors.media_sweep import number_of
 from warp_psdr.kernels.interior.factors.moved_step import MovedStep, make_stretch
+from warp_psdr.kernels.interior.factors.nearness import make_nearness, weight_of_half
 from warp_psdr.kernels.interior.factors.pullback import connection_vjp
 from warp_psdr.kernels.interior.factors.shadow_motion import make_light_end_sink, make_shadow_sink
 from warp_psdr.kernels.interior.factors.sinks import make_light_sink
@@ -47,10 +48,7 @@ from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import normalize_vjp
-from warp_psdr.kernels.vertex import LightConfig, PathConfig, PathVertex, SurfaceConfig
-
-#: By how much strips next to mirrors and glass are wider: a medium that they bound reaches them everywhere.
-BORDER = 5.0
+from warp_psdr.kernels.vertex import PathConfig
 
 
 @wp.struct
@@ -62,46 +60,6 @@ class MovedCarry:
     a_w: wp.vec3  # adjoint of the direction of the ray from y
     a_wi: wp.vec3  # what of the adjoint of y, and with the opposite sign of z, is that of the direction from z to y
     a_t: wp.float32  # adjoint of the distance from y to where the step's flight starts
-
-
-@wp.func
-def weight_of_half(scene: Scene, vertex: PathVertex) -> wp.float32:
-    """The weight chi of the connection by which a vertex was found, where D_n and what goes on are swept apart.
-
-    It is where the other half keeps a weight that nobody reads.
-    """
-    return wp.where(vertex.light >= 0, vertex.inv_pdf, vertex.light_weight)
-
-
-@functools.cache
-def make_nearness(surfaces: SurfaceConfig, lights: LightConfig, geometry: bool = True):
-    """Return ``nearness(scene, x, stretch, face, u, v) -> float32``.
-
-    It is the weight chi of the connection of a volume vertex x with a surface, by its distance from the plane;
-    ``stretch``: the length of its stretch.
-    """
-    position, _cross_of = make_position(surfaces.primitives)
-    chains = has_chain_lobes(surfaces.bsdfs, True)
-    has_delta = make_interaction(surfaces, lights).bsdf.has_delta
-
-    @wp.func
-    def nearness(
-        scene: Scene, x: wp.vec3, stretch: wp.float32, face: wp.int32, u: wp.float32, v: wp.float32
-    ) -> wp.float32:
-        if wp.static(not geometry):
-            return 1.0
-        tri = scene.triangles[face]
-        a = wp.abs(wp.dot(tri.normal, position(tri, u, v) - x))
-        rho = scene.contact_ratio * wp.min(scene.radii[face], stretch)
-        if wp.static(chains):
-            if has_delta(scene.bsdfs[scene.shapes[tri.shape].bsdf].model):
-                rho *= BORDER
-        if a >= rho:
-            return 1.0
-        t = a / rho
-        return 3.0 * t * t
-
-    return nearness
 
 
 @functools.cache
