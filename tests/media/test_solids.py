@@ -142,5 +142,5 @@ def test_what_moves_is_refused_and_tessellation_offered(name) -> None:
 def test_other_ways_to_differentiate_name_replay() -> None:
     scene = psdr.load_dict(described("of milk", EXACT))
     way = psdr.PathIntegrator(max_depth=4, interior=psdr.interior.DifferentialRatioTracking())
-    with pytest.raises(ValueError, match=r"does not know participating media beside 'ball'.*interior.Replay\(\)"):
+    with pytest.raises(ValueError, match=r"participating media beside shapes without triangles.*interior.Replay\(\)"):
         psdr.plan(scene, names=["ball.interior_medium.scale"], integrator=way)

@@ -40,10 +40,8 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
     looks = media is None or moving_media
     delta = looks and has_chain_lobes(config.surfaces.bsdfs, media is not None)
     rough, solids = passing(config.surfaces.bsdfs), primitives.words_of(scene)
-    beside = next(iter(solids.values()), None)
     told = {
         **solids,
-        **({"solids_in_media": Word(f"participating media beside {beside.what}", beside.instead)} if beside else {}),
         "rough_glass": Word(f"the smooth lobe behind the surface of a {rough!r}", WORDS["rough_glass"].instead),
     }
     there = {
