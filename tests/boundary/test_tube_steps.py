@@ -62,7 +62,7 @@ def test_what_a_floor_sees(name: str) -> None:
     light = {"type": "rectangle", "to_world": T.translate([0.0, -0.8, -0.7]).scale(0.3)}
     light["emitter"] = {"type": "area", "radiance": 20.0}
     scene, params = load(sensor=camera(view), body=made, floor=floor(-0.8, 1.5), light=light)
-    assert_slope(scene, params, name, tangent_of(params, name), 3, spp=4096, difference_spp=32768, step=8e-3)
+    assert_slope(scene, params, name, tangent_of(params, name), 3, spp=8192, difference_spp=32768, step=8e-3)
     options = {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 16, "seed": 2}
     assert_transposes(scene, params, [name], options)
 
