@@ -410,6 +410,10 @@ FACTORIES = {
         ("reverse", (EXACT, "reverse", True), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
     ],
+    "boundary.crossing.film_tube_steps.make_film_tube_steps_kernel": [("reverse", (CURVES, "reverse", True), SLOW)],
+    "boundary.crossing.vertex_tube_steps.make_vertex_tube_steps_kernel": [
+        ("reverse", (CURVES, "reverse", True), SLOW),
+    ],
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [
         ("exact", (EXACT, "reverse", True, "exact"), SLOW),
         *((family, (DISTANCES, "reverse", True, family), SLOW) for family in ("grid", "grid creases")),

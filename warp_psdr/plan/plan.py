@@ -267,9 +267,7 @@ def _boundary(
     reparametrised.prepare(scene, term)
     lines = [("boundary term", term.label, "; ".join(moving))]
     moves = motion(scene, names)
-    over = (
-        tube_overlaps(scene, sensor, has_delta_lobes(config.surfaces.bsdfs)) if moves.camera or moves.shapes else None
-    )
+    over = tube_overlaps(scene, sensor) if moves.camera or moves.shapes else None
     lines += [over.tell(scene)] if over is not None else []
     repeated = guiding.automatic(scene, moves, sensor, integrator.max_depth)
     learns = repeated.on and not config.pulse

@@ -145,9 +145,7 @@ def refused(scene: Scene, config: PathConfig, integrator: PathIntegrator, names:
         if pair is not None:
             through = f"{{b}} runs through the {surface} of {{a}}"
             return _told(scene, pair, f"{through}, along a curve that moves; move them apart")
-    over = (
-        tube_overlaps(scene, sensor, has_delta_lobes(config.surfaces.bsdfs)) if moves.camera or moves.shapes else None
-    )
+    over = tube_overlaps(scene, sensor) if moves.camera or moves.shapes else None
     if over is not None and over.problem():
         return over.problem()
     pair = kept(scene, ("resting end", moved), lambda: resting_end(scene, moved))

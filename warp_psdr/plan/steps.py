@@ -14,8 +14,9 @@ from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion, seen_steps, sliding_steps
 from warp_psdr.scene.layout import TEXCOORDS
+from warp_psdr.topology.kinds.tube_items import on_curves
 from warp_psdr.topology.texture_steps import on_seams, too_many
-from warp_psdr.topology.tube_steps import on_curves, slide_on_seams, too_many_on_tubes
+from warp_psdr.topology.tube_steps import slide_on_seams, too_many_on_tubes
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.kinds.curve import Curves, world_points
 from warp_psdr.topology.crossing_curves import Chords, cut
 from warp_psdr.topology.crossing_fields import Field
-from warp_psdr.topology.kinds.tube_items import follows
+from warp_psdr.topology.kinds.tube_items import curves_at, follows, points_at
 from warp_psdr.topology.tube_contacts import overlapping
 from warp_psdr.topology.tube_crossings import PLACES, STEPS, TubeSegments
 
@@ -88,8 +87,7 @@ class _Covered:
 
 def _pairs(scene: Scene, shape: int, other: int) -> np.ndarray:
     """Return (P, 2) segments of two shapes of curves, or of one, that may run through each other."""
-    curves, others = scene.geometry(shape), scene.geometry(other)
-    assert isinstance(curves, Curves) and isinstance(others, Curves)
+    curves, others = curves_at(scene, shape), curves_at(scene, other)
     found = np.unique(overlapping(scene, shape, other)[0], axis=0)
     if not len(found):
         return found
@@ -124,15 +122,13 @@ def cut_tube_pairs(scene: Scene, shape: int, other: int) -> tuple[Chords, np.nda
 
 
 def _segments(scene: Scene, shape: int, numbers: np.ndarray) -> TubeSegments:
-    curves = scene.geometry(shape)
-    assert isinstance(curves, Curves)
-    return TubeSegments(world_points(scene, shape), curves.firsts, numbers, curves.cubic)
+    curves = curves_at(scene, shape)
+    return TubeSegments(points_at(scene, shape), curves.firsts, numbers, curves.cubic)
 
 
 def _along(scene: Scene, shape: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the numbers (S,) of the curves that segments are of, where these begin along them, and their lengths."""
-    curves = scene.geometry(shape)
-    assert isinstance(curves, Curves)
+    curves = curves_at(scene, shape)
     every = np.arange(len(curves.firsts))
     tubes = _segments(scene, shape, every)
     places = np.tile(np.linspace(0.0, 1.0, PLACES)[:, None], len(every))

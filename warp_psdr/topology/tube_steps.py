@@ -14,8 +14,7 @@ import warp as wp
 
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.crossing.tube_steps import JOINT, SEAM, TubeSteps
-from warp_psdr.scene.kinds.curve import Curves, world_points
-from warp_psdr.topology.kinds.tube_items import curve_shapes, follows
+from warp_psdr.topology.kinds.tube_items import curves_at, follows, points_at
 from warp_psdr.topology.texture_steps import MOST, Carriers
 from warp_psdr.topology.unchanged import kept
 
@@ -25,12 +24,6 @@ if TYPE_CHECKING:
 
 #: Roundings of a place, in cells: what is closer to a whole number is one.
 WHOLE = 1.0e-6
-
-
-def on_curves(scene: Scene, carriers: Carriers) -> Carriers:
-    """Return those of some (shape, texture) that are on curves."""
-    curves = set(curve_shapes(scene))
-    return frozenset(carrier for carrier in carriers if carrier[0] in curves)
 
 
 def tube_lines(scene: Scene, carriers: Carriers) -> TubeSteps | None:
@@ -58,8 +51,7 @@ def too_many_on_tubes(scene: Scene, carriers: Carriers) -> str:
     """Say which texture has more lines on curves than can be listed; empty: none."""
     for shape, number in sorted(carriers):
         matrix, cells = _place(scene, scene.builder.textures[number])
-        curves = scene.geometry(shape)
-        assert isinstance(curves, Curves)
+        curves = curves_at(scene, shape)
         if (cells * (1.0 + np.abs(matrix[:, 0]))).sum() * len(curves.firsts) + (
             cells * np.abs(matrix[:, 1])
         ).sum() > MOST:
@@ -71,8 +63,7 @@ def too_many_on_tubes(scene: Scene, carriers: Carriers) -> str:
 def slide_on_seams(scene: Scene, carriers: Carriers) -> bool:
     """Whether lines that slide lie where angles start anew, and not only they jump there, or on joints of segments."""
     for shape, number in sorted(carriers):
-        curves = scene.geometry(shape)
-        assert isinstance(curves, Curves)
+        curves = curves_at(scene, shape)
         texture = scene.builder.textures[number]
         matrix, cells = _place(scene, texture)
         for axis in range(2):
@@ -110,12 +101,11 @@ def _periodic(texture: Texture, matrix: np.ndarray, cells: np.ndarray) -> bool:
 
 def _lines_of(scene: Scene, shape: int, number: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return marks (N, 4), ends (N, 4) and lengths (N,) of a texture's lines on curves (``TubeSteps``)."""
-    curves = scene.geometry(shape)
-    assert isinstance(curves, Curves)
+    curves = curves_at(scene, shape)
     texture, count = scene.builder.textures[number], len(curves.firsts)
     matrix, cells = _place(scene, texture)
     record = scene.face_count + scene.builder.primitives.index(shape)
-    points, goes_on = world_points(scene, shape), follows(curves.firsts)
+    points, goes_on = points_at(scene, shape), follows(curves.firsts)
     last = curves.firsts + (3 if curves.cubic else 1)
     length = np.linalg.norm(points[last, :3] - points[curves.firsts, :3], axis=1) / (3.0 if curves.cubic else 1.0)
     around = 2.0 * np.pi * np.maximum(points[curves.firsts, 3], points[last, 3])

@@ -28,6 +28,24 @@ def curve_shapes(scene: Scene) -> list[int]:
     return [i for i in scene.builder.primitives if isinstance(scene.geometry(i), Curves)]
 
 
+def on_curves(scene: Scene, carriers: frozenset[tuple[int, int]]) -> frozenset[tuple[int, int]]:
+    """Return those of some (shape, texture) that are on curves."""
+    curves = set(curve_shapes(scene))
+    return frozenset(carrier for carrier in carriers if carrier[0] in curves)
+
+
+def curves_at(scene: Scene, shape: int) -> Curves:
+    """Return the curves of a shape that is some."""
+    curves = scene.geometry(shape)
+    assert isinstance(curves, Curves)
+    return curves
+
+
+def points_at(scene: Scene, shape: int) -> np.ndarray:
+    """Return the control points (P, 4) of curves in the device's coordinates."""
+    return world_points(scene, shape)
+
+
 def follows(firsts: np.ndarray) -> np.ndarray:
     """Return a mask (S,) of the segments on which the next one of their curve follows."""
     found = np.zeros(len(firsts), bool)

@@ -75,13 +75,15 @@ class Overlaps:
         return "crossing tubes", "their common curves are left out", f"{share}: {self.described()}"
 
 
-def tube_overlaps(scene: Scene, sensor: int, mirrors: bool) -> Overlaps | None:
+def tube_overlaps(scene: Scene, sensor: int, mirrors: bool | None = None) -> Overlaps | None:
     """Return what tubes that run through each other leave out before a camera; None: nothing.
 
-    ``mirrors``: beside smooth mirrors and glass.
+    ``mirrors``: beside smooth mirrors and glass; None: as the scene says.
     """
     if not curve_shapes(scene):
         return None
+    if mirrors is None:
+        mirrors = any(model_of(b).has_delta for s in scene.description.shapes for b in s.bsdf.sides)
     view = camera_view(scene, sensor)
     return kept(scene, ("tube overlaps", view.numbers(), mirrors), lambda: _found(scene, view, mirrors))
 

@@ -37,7 +37,6 @@ from warp_psdr.estimate.boundary.terms import (
     terminator,
     texture_steps,
     through_mirrors,
-    tube_steps,
     vertex_crossing,
 )
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term
@@ -92,7 +91,6 @@ ALL: tuple[BoundaryTerm, ...] = (
     *geometric_horizon.TERMS.values(),
     through_mirrors.TERM,
     *texture_steps.TERMS.values(),
-    *tube_steps.TERMS.values(),
     path_warped_area.TERM,
     film_border.TERM,
 )

@@ -7,15 +7,18 @@ import math
 import numpy as np
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.crossing.film_tube_steps import make_film_tube_steps_kernel
+from warp_psdr.kernels.boundary.crossing.vertex_tube_steps import make_vertex_tube_steps_kernel
 from warp_psdr.kernels.boundary.path_space.media_sliding_steps import make_media_sliding_steps_kernel
 from warp_psdr.kernels.boundary.path_space.primary import make_primary_kernel
 from warp_psdr.kernels.boundary.path_space.sliding_steps import make_sliding_steps_kernel
 from warp_psdr.options.boundary import EdgeSampling, PathSpace, Projective
 from warp_psdr.options.words import words
 from warp_psdr.plan.discontinuities import SLIDING_STEPS
-from warp_psdr.plan.motion import seen_steps
+from warp_psdr.plan.motion import moving_shapes, seen_steps, sliding_steps
+from warp_psdr.topology.kinds.tube_items import on_curves
 from warp_psdr.topology.texture_steps import film_lines, world_lines
-from warp_psdr.topology.tube_steps import on_curves
+from warp_psdr.topology.tube_steps import tube_lines
 
 #: Least share of the samples that the lines on the film take; they take all where they are a pixel apart.
 LEAST_SHARE = 0.125
@@ -53,6 +56,29 @@ def launch_sliding(r: Request) -> Term | None:
     return term_of(r, SLIDING, kernel, [r.scene.data(), r.camera, edges], samples)
 
 
+def launch_on_tubes(r: Request) -> Term | None:
+    """Return the term of the steps that the camera sees move."""
+    carriers = frozenset() if r.config.shown else on_curves(r.scene, seen_steps(r.scene, r.config, r.moves))
+    found = tube_lines(r.scene, carriers) if carriers else None
+    if found is None:
+        return None
+    kernel = make_film_tube_steps_kernel(r.config, r.role, r.moves.camera)
+    return term_of(r, ON_TUBES, kernel, [r.scene.data(), r.camera, found], r.pixels * (r.method.spp_primary or r.spp))
+
+
+def launch_at_vertices(r: Request) -> Term | None:
+    """Return the term of the steps at vertices, which slide along rays, that the camera does not see."""
+    if not (r.lit and r.scatters_smoothly) or r.plan.max_depth == 2:  # curves do not shine
+        return None
+    carriers = on_curves(r.scene, sliding_steps(r.scene, r.moves))
+    found = tube_lines(r.scene, carriers) if carriers else None
+    if found is None:
+        return None
+    kernel = make_vertex_tube_steps_kernel(r.config, r.role, r.moves.camera)
+    head = [r.scene.data(), r.camera, found, moving_shapes(r.scene, r.moves)]
+    return term_of(r, AT_VERTICES, kernel, head, r.pixels * (r.method.spp_secondary or r.spp))
+
+
 SEEN = BoundaryTerm(
     name="texture_steps",
     title="steps of textures",
@@ -71,4 +97,20 @@ SLIDING = BoundaryTerm(
     applies=slides,
     knows=SLIDING_STEPS.knows,
 )
-TERMS = {term.name: term for term in (SEEN, SLIDING)}
+ON_TUBES = BoundaryTerm(
+    name="film_tube_steps",
+    title="steps of textures on tubes",
+    stream=62,
+    methods=(PathSpace, Projective),
+    launch=launch_on_tubes,
+    knows=words("material_points", "slides"),
+)
+AT_VERTICES = BoundaryTerm(
+    name="vertex_tube_steps",
+    title="vertices at steps of textures on tubes",
+    stream=63,
+    methods=(PathSpace, Projective),
+    launch=launch_at_vertices,
+    knows=words("material_points", "slides"),
+)
+TERMS = {term.name: term for term in (SEEN, SLIDING, ON_TUBES, AT_VERTICES)}
