@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from warp_psdr.kernels import constants as c
-from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.plan.motion import motion, seen_steps, sliding_steps
 from warp_psdr.scene.layout import TEXCOORDS
@@ -82,7 +82,7 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
 
 def _beside_tubes(config: PathConfig, method: Method) -> str:
     """Say where steps on tubes are not known; empty: they are."""
-    if has_delta_lobes(config.surfaces.bsdfs):
+    if has_chain_lobes(config.surfaces.bsdfs, config.media is not None):
         return "curves beside smooth mirrors and glass"
     if config.media is not None:
         return "curves beside participating media"
