@@ -261,3 +261,23 @@ def test_steps_on_shapes_without_triangles_are_refused_where_they_move() -> None
     params.requires_grad_only("ball.to_world")
     with pytest.raises(ValueError, match="not known on shapes without triangles"):
         psdr.plan(scene, params)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0])
+def test_steps_of_two_textures_that_lie_on_each_other_count_once(scale) -> None:
+    """A board whose colour and roughness share their fields, or lines: the camera moves, and one texture slides."""
+    fine = np.diag([scale, scale, 1.0]) @ TO_UV
+    rough = {"type": "checkerboard", "color0": 0.1, "color1": 0.6, "to_uv": fine}
+    bsdf = {"type": "principled", "base_color": checkers(), "roughness": rough}
+    sky = {"type": "constant"}
+    scene, _params = load(
+        sensor=camera(T.look_at([0, 0, 4], [0, 0, 0], [0, 1, 0])), board={"type": "rectangle", "bsdf": bsdf}, sky=sky
+    )
+    (color, other) = sorted(scene.builder.stepped[0])
+    both, one, two = (
+        film_lines(scene, 0, frozenset((0, t) for t in textures), True)[1]
+        for textures in ((color, other), (color,), (other,))
+    )
+    assert both == pytest.approx(max(one, two), rel=1e-6) and both < 0.9 * (one + two)
+    with pytest.raises(ValueError, match="two textures of 'board' lie on each other and slide"):
+        psdr.plan(scene, names=["board.bsdf.base_color.to_uv"], integrator=psdr.PathIntegrator(max_depth=2))

@@ -15,7 +15,7 @@ from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projecti
 from warp_psdr.plan.motion import motion, seen_steps, sliding_steps
 from warp_psdr.scene.layout import TEXCOORDS
 from warp_psdr.topology.kinds.tube_items import on_curves
-from warp_psdr.topology.texture_steps import on_seams, too_many
+from warp_psdr.topology.texture_steps import coincide, on_seams, too_many
 from warp_psdr.topology.tube_steps import slide_on_seams, too_many_on_tubes
 
 if TYPE_CHECKING:
@@ -72,6 +72,10 @@ def refused(scene: Scene, config: PathConfig, names: list[str], method: Method) 
             f"steps of a texture of {path!r} slide along a seam of its texture coordinates, while shapes or the camera "
             "move; request these in a call of their own"
         )
+    laid = coincide(scene, moves.steps - tubes)
+    if laid >= 0:
+        laid_on = scene.description.shapes[laid].path
+        return f"steps of two textures of {laid_on!r} lie on each other and slide; shift the to_uv of one a little"
     if slide_on_seams(scene, moves.steps & tubes):
         path = scene.description.shapes[min(moves.steps & tubes)[0]].path
         return (

@@ -21,13 +21,15 @@ from warp_psdr.topology.film_edges import smooth_edges
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.boundary.local_form import Edges
-    from warp_psdr.kernels.structs import Shape
+    from warp_psdr.kernels.structs import Shape, Texture
     from warp_psdr.scene.scene import Scene
 
 #: Pairs of a shape and a texture of it.
 Carriers = frozenset[tuple[int, int]]
 #: Edges of a scene, and the lines that were listed for them with what they were read from.
 Held = tuple[Adjacency, dict[tuple[Carriers, bool], tuple[list[bytes], Adjacency]]]
+#: Distance of two lines, in texture coordinates, and of their directions, up to which they are one.
+SAME = 1.0e-8
 #: Most lines of a scene: half a gigabyte.
 MOST = 1 << 21
 
@@ -86,7 +88,11 @@ def _lines(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
 def _listed(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
     """Return the lines of some textures on some shapes as edges of one face."""
     parts = [_lines_of(scene, carrier, seams) for carrier in sorted(carriers)]
-    faces, ends, twins, points = (np.concatenate([part[k] for part in parts]) for k in range(4))
+    faces, ends, twins, points, where = (np.concatenate([part[k] for part in parts]) for k in range(5))
+    if len({shape for shape, _texture in carriers}) < len(carriers):
+        # What jumps at a line is what the surface sends, whichever of its textures jump there.
+        alone = one_of_each(np.column_stack([faces, where]))
+        faces, ends, twins, points = faces[alone], ends[alone], twins[alone], points[alone]
     n = len(faces)
     return Adjacency(
         ends=ends,
@@ -98,6 +104,27 @@ def _listed(scene: Scene, carriers: Carriers, seams: bool) -> Adjacency:
         points=points,
         group=scene_adjacency(scene).group,
     )
+
+
+def one_of_each(names: np.ndarray) -> np.ndarray:
+    """Return the numbers of rows, (N, K), that no row before is equal to, but for roundings."""
+    return np.sort(np.unique(np.round(names / SAME).astype(np.int64), axis=0, return_index=True)[1])
+
+
+def coincide(scene: Scene, carriers: Carriers) -> int:
+    """Return a shape on which a line of one of some textures lies on one of another texture; -1: there is none."""
+    for shape in sorted({shape for shape, _texture in carriers}):
+        own = frozenset(carrier for carrier in carriers if carrier[0] == shape)
+        others = frozenset((shape, texture) for texture in scene.builder.stepped.get(shape, ()))
+        if others - own and shape not in scene.builder.primitives:
+            parts = (own, others - own)
+            if len(_lines(scene, own | others, True).length) < sum(len(_lines(scene, p, True).length) for p in parts):
+                return shape
+        if len(own) > 1 and shape not in scene.builder.primitives:
+            single = sum(len(_lines(scene, frozenset({carrier}), True).length) for carrier in own)
+            if len(_lines(scene, own, True).length) < single:
+                return shape
+    return -1
 
 
 def _read(scene: Scene, carriers: Carriers) -> list[bytes]:
@@ -120,8 +147,13 @@ def _places(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.ndar
     faces = np.flatnonzero(b.face_shape == carrier[0])
     uv = _texcoords(flat, shape, b.indices[faces])
     matrix = flat[texture.to_uv : texture.to_uv + 9].astype(np.float64).reshape(3, 3)
+    return faces, (uv @ matrix[:2, :2].T + matrix[:2, 2]) * cells_of(texture)
+
+
+def cells_of(texture: Texture) -> np.ndarray:
+    """Return the cells of a texture in a unit of its coordinates, (2,)."""
     cells = (2.0, 2.0) if texture.kind == c.TEXTURE_CHECKERBOARD else (texture.width, texture.height)
-    return faces, (uv @ matrix[:2, :2].T + matrix[:2, 2]) * np.asarray(cells, np.float64)
+    return np.asarray(cells, np.float64)
 
 
 def _texcoords(flat: np.ndarray, shape: Shape, corners: np.ndarray) -> np.ndarray:
@@ -132,17 +164,25 @@ def _texcoords(flat: np.ndarray, shape: Shape, corners: np.ndarray) -> np.ndarra
     return np.stack([flat[at], flat[at + 1]], axis=2).astype(np.float64)
 
 
-def _lines_of(
-    scene: Scene, carrier: tuple[int, int], seams: bool
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Return the lines of a texture on a shape: faces, ends, twins, points (``kernels/boundary/local_form.Edges``)."""
+def _lines_of(scene: Scene, carrier: tuple[int, int], seams: bool) -> tuple[np.ndarray, ...]:
+    """Return the lines of a texture on a shape: faces, ends, twins, points (``kernels/boundary/local_form.Edges``).
+
+    The last ones, (N, 3), are where they lie in texture coordinates: a unit vector across, and the distance from 0.
+    """
     faces, place = _places(scene, carrier)
+    texture = scene.builder.textures[carrier[1]]
+    matrix = scene.values.numpy()[texture.to_uv : texture.to_uv + 9].astype(np.float64).reshape(3, 3)
     corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
     found = []
 
-    def add(axis: int, own: np.ndarray, ends: np.ndarray) -> None:
+    def add(axis: int, own: np.ndarray, ends: np.ndarray, level: np.ndarray) -> None:
         marks = [np.tile(np.array([int(STEP), value], np.int32), (len(own), 1)) for value in (carrier[1], axis)]
-        found.append((faces[own].astype(np.int32), *marks, ends))
+        across, shift = matrix[axis, :2], matrix[axis, 2]
+        turned = -1.0 if across[np.argmax(across != 0.0)] < 0.0 else 1.0
+        size = turned * max(float(np.hypot(*across)), 1e-300)
+        distance = (level / cells_of(texture)[axis] - shift) / size
+        where = np.column_stack([np.tile(across / size, (len(own), 1)), distance])
+        found.append((faces[own].astype(np.int32), *marks, ends, where))
 
     for axis in range(2):
         s = place[:, :, axis]
@@ -160,11 +200,11 @@ def _lines_of(
             ends[rows, met[rows]] = (1.0 - at) * p[rows, a] + at * p[rows, b]
             met[rows] += 1
         keep = (met == 2) & (np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1) > 0.0)
-        add(axis, face[keep], ends[keep])
+        add(axis, face[keep], ends[keep], level[keep])
         beside, alone = _along_sides(scene, faces, s, seams)
-        add(axis, beside, np.stack([corners[beside, (alone + 1) % 3], corners[beside, (alone + 2) % 3]], axis=1))
-    faces_of, ends_of, twins_of, points_of = (np.concatenate([part[k] for part in found]) for k in range(4))
-    return faces_of, ends_of, twins_of, points_of
+        sides = np.stack([corners[beside, (alone + 1) % 3], corners[beside, (alone + 2) % 3]], axis=1)
+        add(axis, beside, sides, s[beside].min(axis=1))
+    return tuple(np.concatenate([part[k] for part in found]) for k in range(5))
 
 
 def _along_sides(scene: Scene, faces: np.ndarray, s: np.ndarray, seams: bool) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.crossing.tube_steps import JOINT, SEAM, TubeSteps
 from warp_psdr.topology.kinds.tube_items import curves_at, follows, points_at
-from warp_psdr.topology.texture_steps import MOST, Carriers
+from warp_psdr.topology.texture_steps import MOST, Carriers, cells_of, one_of_each
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -34,7 +34,9 @@ def tube_lines(scene: Scene, carriers: Carriers) -> TubeSteps | None:
 def _tube_lines(scene: Scene, carriers: Carriers) -> TubeSteps | None:
     parts = [_lines_of(scene, *carrier) for carrier in sorted(carriers)]
     marks, ends, sizes = (np.concatenate([p[k] for p in parts]) for k in range(3))
-    keep = sizes > 0.0
+    keep = np.flatnonzero(sizes > 0.0)
+    if len({shape for shape, _texture in carriers}) < len(carriers):
+        keep = keep[one_of_each(np.column_stack([marks[keep, :2], ends[keep]]))]
     marks, ends, sizes = marks[keep], ends[keep], sizes[keep]
     if not len(sizes):
         return None
@@ -83,8 +85,7 @@ def _whole(value: float) -> bool:
 def _place(scene: Scene, texture: Texture) -> tuple[np.ndarray, np.ndarray]:
     """Return the first two rows (2, 3) of a texture's transformation, and its cells (2,)."""
     values = scene.values[texture.to_uv : texture.to_uv + 6].numpy().astype(np.float64).reshape(2, 3)
-    cells = (2.0, 2.0) if texture.kind == c.TEXTURE_CHECKERBOARD else (texture.width, texture.height)
-    return values, np.asarray(cells, np.float64)
+    return values, cells_of(texture)
 
 
 def _periodic(texture: Texture, matrix: np.ndarray, cells: np.ndarray) -> bool:
