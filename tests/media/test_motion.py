@@ -201,7 +201,7 @@ def test_an_interface_has_no_boundary_term():
         (
             {"leaf": square(2.0, 1.0, {"type": "mask", "leaf": {"type": "diffuse"}})},
             None,
-            "'bulb' is a light of no area, whose light no path finds behind it",
+            "light of 'bulb' passes shape 'leaf' without .* not known beside participating media",
         ),
         ({}, psdr.interior.Antithetic(), "does not know participating media"),
         ({}, psdr.interior.DifferentialRatioTracking(), r"use interior\.Replay"),
