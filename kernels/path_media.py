@@ -58,7 +58,7 @@ SLOTS_PER_STEP = 3
 #: Least cosine that the distance of collisions from a surface is divided by.
 GRAZING = 1.0e-4
 #: Distance, over the largest coordinate, at which float32 tells the sides of an exact sphere apart.
-TOUCH_CURVED = 1.0e-6
+TOUCH_CURVED = 4.0e-6
 #: Share of directions that are drawn from the whole sphere where derivatives by tables, which may be zero, are.
 EVERYWHERE = 0.1
 #: Depth at which no path is ended by roulette.

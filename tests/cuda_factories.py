@@ -355,6 +355,9 @@ FACTORIES = {
     "boundary.path_space.media_sliding_steps.make_media_sliding_steps_kernel": [
         ("reverse", (MEDIA, "reverse", True), SLOW),
     ],
+    "boundary.path_space.media_intersection_curve.make_media_intersection_curve_kernel": [
+        ("reverse", (MEDIA, "reverse", True, False), SLOW),
+    ],
     "boundary.path_space.light_frame.make_light_frame_kernel": [
         ("reverse, lights", (ALL_LIGHTS, "reverse", True, True), SLOW),
         ("forward, lights", (ALL_LIGHTS, "forward", False, False), SLOW),

@@ -75,6 +75,7 @@ KINDS = (
     "sliding_steps",
     "film_tube_steps",
     "vertex_tube_steps",
+    "media_intersection_curve",
     "light_frame",
     "film_border",
     "path_warped_area",

@@ -135,9 +135,11 @@ GEOMETRIC_HORIZON = Discontinuity(
     instead=FLAT,
 )
 INTERSECTION_CURVE = Discontinuity(
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
     applies=lambda asked: (
-        asked.lit and (asked.max_depth != 2 or bool(asked.config.lights.area)) and asked.scatters_smoothly
+        (asked.lit or asked.glows)
+        and (asked.max_depth != 2 or bool(asked.config.lights.area) or asked.config.media is not None)
+        and asked.scatters_somewhere
     ),
     find=_pierced,
     instead="move them apart",

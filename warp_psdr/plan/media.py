@@ -148,7 +148,6 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
     """Say what of a scene keeps the boundary term from being estimated; empty: nothing."""
     if config.media is None:
         return ""
-    moves = motion(scene, names)
     if config.media.emissive:
         bent = interpolated_faces(scene) & ~absent_faces(scene)
         if bent.any():
@@ -162,8 +161,8 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
             f"{light!r} is a light of no area, whose hard shadows in media are not searched for through mirrors, glass "
             "and masks; make it an area light"
         )
-    met = pierced(scene, set(moves.shapes))
-    return f"{met}, along a curve that moves; move them apart, by a little" if met else ""
+    met = pierced(scene, set(motion(scene, names).shapes)) if has_chain_lobes(config.surfaces.bsdfs, True) else ""
+    return f"{met}, along a curve that moves, beside mirrors or glass; move them apart, by a little" if met else ""
 
 
 def moves_media_alone(scene: Scene, name: str) -> bool:

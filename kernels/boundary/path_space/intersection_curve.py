@@ -42,13 +42,14 @@ OFF, MAX_SHIFT = 3.0, 100.0
 
 
 @functools.cache
-def make_curve_segment(rays: RayConfig, primitives: tuple[int, ...]):
-    """Return ``segment(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve."""
-    visibility = visibility_of(rays, primitives)
-    sees = make_sees(rays, primitives)
+def make_curve_draw():
+    """Return ``draw(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve.
+
+    Of x_1 it has the direction alone, -w; ``source`` is where the ray to x_1 starts.
+    """
 
     @wp.func
-    def segment(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
+    def draw(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
         r = Segment()
         r.light = -1
         first = edges.first[point.edge]
@@ -76,9 +77,30 @@ def make_curve_segment(rays: RayConfig, primitives: tuple[int, ...]):
         m = wp.cross(t, r.w)
         r.boundary_normal = wp.where(wp.dot(m, out) > 0.0, -m, m)
         step = edge_step(scene, edges, point.edge)
-        x = point.x + (step * wp.min(OFF / wp.dot(out, other), MAX_SHIFT)) * out
-        r.x = x
-        r.source = x + edge_behind(scene, step) * back
+        r.x = point.x + (step * wp.min(OFF / wp.dot(out, other), MAX_SHIFT)) * out
+        r.source = r.x + edge_behind(scene, step) * back
+        # pdf_l is a density of the fraction s, dl = |p1 - p0| ds; pdf_sigma = cosine / (2 pi), and A or B.
+        r.scale = 2.0 * wp.length(point.p1 - point.p0) * TWO_PI / (point.pdf * local[2])
+        r.valid = 1
+        return r
+
+    return draw
+
+
+@functools.cache
+def make_curve_segment(rays: RayConfig, primitives: tuple[int, ...]):
+    """Return ``segment(scene, edges, point, which, u4) -> Segment``: as drawn, with x_1."""
+    visibility = visibility_of(rays, primitives)
+    sees = make_sees(rays, primitives)
+    curve_draw = make_curve_draw()
+
+    @wp.func
+    def segment(scene: Scene, edges: Edges, point: EdgePoint, which: wp.int32, u4: wp.vec4) -> Segment:
+        r = curve_draw(scene, edges, point, which, u4)
+        if r.valid == 0:
+            return r
+        r.valid = 0
+        back = -r.w
         hit = visibility.closest(scene, r.source, back, FAR)
         if hit.face < 0 or not sees(scene, r.source, r.w, hit.t):
             return r
@@ -86,8 +108,6 @@ def make_curve_segment(rays: RayConfig, primitives: tuple[int, ...]):
         r.face1 = hit.face
         r.u1 = hit.u
         r.v1 = hit.v
-        # pdf_l is a density of the fraction s, dl = |p1 - p0| ds; pdf_sigma = cosine / (2 pi), and A or B.
-        r.scale = 2.0 * wp.length(point.p1 - point.p0) * TWO_PI / (point.pdf * local[2])
         r.valid = 1
         return r
 

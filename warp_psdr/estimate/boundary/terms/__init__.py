@@ -84,7 +84,7 @@ ALL: tuple[BoundaryTerm, ...] = (
     edge_sampling.TERM,
     media_edge_sampling.TERM,
     *hard_shadows.TERMS.values(),
-    intersection_curve.TERM,
+    *intersection_curve.TERMS.values(),
     film_crossing.TERM,
     vertex_crossing.TERM,
     indirect_terminator.TERM,
