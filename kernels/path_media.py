@@ -21,7 +21,7 @@ from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.medium.emission import make_emission
 from warp_psdr.kernels.medium.flight import Flight, make_flight
 from warp_psdr.kernels.medium.grid_emission import make_grid_emission
-from warp_psdr.kernels.medium.null_surface import make_null_surface, null_model_of
+from warp_psdr.kernels.medium.null_surface import make_null_surface, null_model_of, told_apart
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, is_lost, make_media_passage, medium_towards
 from warp_psdr.kernels.medium.tracking import make_tracking
 from warp_psdr.kernels.medium.volume import GRID
@@ -47,8 +47,7 @@ from warp_psdr.kernels.scattering import (
     samples_lights,
     shadow_ray,
 )
-from warp_psdr.kernels.step import TOUCH, largest_coordinate
-from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.transmittance import transmittance_of
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.visibility import visibility_of
@@ -57,8 +56,6 @@ from warp_psdr.kernels.visibility import visibility_of
 SLOTS_PER_STEP = 3
 #: Least cosine that the distance of collisions from a surface is divided by.
 GRAZING = 1.0e-4
-#: Distance, over the largest coordinate, at which float32 tells the sides of an exact sphere apart.
-TOUCH_CURVED = 4.0e-6
 #: Share of directions that are drawn from the whole sphere where derivatives by tables, which may be zero, are.
 EVERYWHERE = 0.1
 #: Depth at which no path is ended by roulette.
@@ -272,12 +269,14 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
     step_off = make_leaving(config.surfaces.primitives)
 
     @wp.func
-    def told_apart(tri: Triangle) -> wp.float32:
-        """Distance from an interface at which float32 tells its sides apart."""
+    def plane_at(scene: Scene, hit: RayHit) -> tuple[wp.vec3, wp.vec3]:
+        """The normal of a surface at a hit, and a point of its tangent plane."""
+        tri = triangle_at(scene, hit.face)
         if wp.static(len(config.surfaces.primitives) > 0):
             if is_primitive(tri):
-                return TOUCH_CURVED * wp.max(wp.abs(tri.normal) + wp.abs(tri.p0) + wp.abs(tri.p1) + wp.abs(tri.p2))
-        return TOUCH * largest_coordinate(tri)
+                met = interaction.surface(scene, hit.face, hit.u, hit.v)
+                return met.ng, met.x
+        return tri.normal, tri.p0
 
     @wp.func
     def cross(
@@ -330,13 +329,12 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
         lead = wp.dot(state.skip, path.d)
         if hit.face >= 0:
             hit.t += lead
-            if wp.static(not config.surfaces.primitives):
-                if lead > 0.0:
-                    # Where the ray itself meets the triangle's plane: the one that is cast runs beside it.
-                    plane = triangle_at(scene, hit.face)
-                    across = wp.dot(plane.normal, path.d)
-                    if wp.abs(across) > GRAZING:
-                        hit.t = wp.clamp(wp.dot(plane.normal, plane.p0 - path.o) / across, 0.0, hit.t)
+            if lead > 0.0:
+                # Where the ray itself meets the tangent plane: the one that is cast runs beside it.
+                n, point = plane_at(scene, hit)
+                across = wp.dot(n, path.d)
+                if wp.abs(across) > GRAZING:
+                    hit.t = wp.clamp(wp.dot(n, point - path.o) / across, 0.0, hit.t)
         scatters = max_depth < 0 or path.depth + 1 < max_depth
         # ---- Flight ----
         vertex = MediaVertex()
@@ -352,11 +350,8 @@ def make_media_step(config: PathConfig, differential: bool, explores: bool = Fal
                 length = hit.t
                 # As far before the surface as rays start off it: rounded, a point would be behind it, and lost.
                 tri = triangle_at(scene, hit.face)
-                n = tri.normal
-                if wp.static(len(config.surfaces.primitives) > 0):
-                    if is_primitive(tri):
-                        n = interaction.surface(scene, hit.face, hit.u, hit.v).ng
-                cosine = wp.max(wp.abs(wp.dot(n, path.d)), GRAZING)
+                normal, _point = plane_at(scene, hit)
+                cosine = wp.max(wp.abs(wp.dot(normal, path.d)), GRAZING)
                 end = hit.t - step_off(scene, tri) / cosine
             vertex.length = wp.max(end, 0.0)
             if wp.static(emissive):

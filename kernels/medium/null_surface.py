@@ -12,11 +12,15 @@ import warp as wp
 from warp_psdr.kernels.bsdf.dispatch import declaration_of
 from warp_psdr.kernels.bsdf.null import NULL
 from warp_psdr.kernels.interaction import make_interaction
+from warp_psdr.kernels.primitive.affine import is_primitive
 from warp_psdr.kernels.primitive.dispatch import make_position
 from warp_psdr.kernels.reading import triangle_at
-from warp_psdr.kernels.step import step_beside, step_off_triangle
-from warp_psdr.kernels.structs import Scene
+from warp_psdr.kernels.step import TOUCH, largest_coordinate, step_beside, step_off_triangle
+from warp_psdr.kernels.structs import Scene, Triangle
 from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
+
+#: Distance, over the largest coordinate, at which float32 tells the sides of an exact shape apart.
+TOUCH_CURVED = 4.0e-6
 
 
 @wp.struct
@@ -27,6 +31,14 @@ class PassedSurface:
     ng: wp.vec3
     x: wp.vec3
     o: wp.vec3  # where the ray starts behind it
+
+
+@wp.func
+def told_apart(tri: Triangle) -> wp.float32:
+    """Distance from an interface at which float32 tells its sides apart."""
+    if is_primitive(tri):
+        return TOUCH_CURVED * wp.max(wp.abs(tri.normal) + wp.abs(tri.p0) + wp.abs(tri.p1) + wp.abs(tri.p2))
+    return TOUCH * largest_coordinate(tri)
 
 
 def null_model_of(bsdfs: tuple[str, ...]) -> int:
