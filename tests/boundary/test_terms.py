@@ -63,7 +63,7 @@ def test_what_does_not_apply_is_not_looked_for() -> None:
 ONLY_BESIDE = {
     "media": "media_",
     "mirrors": "through_mirrors",
-    "slides": "grid|cubic|network|tubes|silhouette|crossing",
+    "slides": "grid|cubic|network|tube|silhouette|crossing",
 }
 
 
