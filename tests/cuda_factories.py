@@ -319,8 +319,8 @@ FACTORIES = {
     ],
     "boundary.specular.long_chains.make_long_chains_kernel": [
         ("materials", (MATERIALS,), SLOW),
-        ("mirrors in media", (MEDIA_MIRRORS,), SLOW),
     ],
+    "boundary.specular.long_chains.make_long_media_chains_kernel": [("mirrors", (MEDIA_MIRRORS,), SLOW)],
     "boundary.specular.media_line_search.make_media_line_search_kernel": [
         ("reverse", (MEDIA_MIRRORS, moving(MEDIA_MIRRORS), "reverse", False, False), SLOW),
         ("forward, grids", (GRID_MIRRORS, moving(GRID_MIRRORS), "forward", False, True), SLOW),

@@ -105,7 +105,11 @@ def test_the_closed_form_of_a_frame_that_opens_on_a_facing_floor() -> None:
     assert np.abs(found.sum(axis=(0, 1))).max() < 0.01 * np.abs(found).sum()
 
 
-@pytest.mark.parametrize("irradiance", [IMAGE, IMAGE | {"filter_type": "nearest"}], ids=["bilinear", "nearest"])
+@pytest.mark.parametrize(
+    "irradiance",
+    [pytest.param(IMAGE, marks=pytest.mark.slow), IMAGE | {"filter_type": "nearest"}],
+    ids=["bilinear", "nearest"],
+)
 def test_the_lamp_turns_and_opens(irradiance) -> None:
     scene, params = lit(irradiance)
     assert_slope(scene, params, "lamp.to_world", turn(params["lamp.to_world"], 0.3, 0.5, 1.0), 0.01)

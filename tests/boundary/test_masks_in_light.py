@@ -61,6 +61,7 @@ def test_a_mirror_shows_the_shadow_of_the_leaf() -> None:
     assert_slope(scene, params, "leaf.to_world", shift(1.0, 0.3, 0.2), 0.01, depth=5, spp=1024, difference_spp=8192)
 
 
+@pytest.mark.slow
 def test_light_through_the_leaf_moves_alike_in_both_modes() -> None:
     scene, params = leaf()
     assert_transposes(scene, params, ["leaf.to_world"], {"integrator": psdr.PathIntegrator(max_depth=3), "spp": 8})

@@ -139,7 +139,7 @@ def test_fields_that_are_meshes_of_their_own_have_the_same_derivative() -> None:
     assert np.sqrt((z**2).mean()) < 1.6
 
 
-@pytest.mark.parametrize("texture", ["checkerboard", "nearest"])
+@pytest.mark.parametrize("texture", ["checkerboard", pytest.param("nearest", marks=pytest.mark.slow)])
 def test_to_uv_and_texture_coordinates_slide_what_the_camera_sees(texture) -> None:
     texels = np.random.default_rng(3).uniform(0.1, 1.0, (3, 4, 1)).repeat(3, axis=2).astype(np.float32)
     nearest = {"type": "bitmap", "bitmap": texels, "filter_type": "nearest", "raw": True, "to_uv": TO_UV}

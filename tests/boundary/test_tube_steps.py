@@ -40,8 +40,7 @@ def case(plugin: str, name: str, slow: bool = True):
 @pytest.mark.parametrize(
     ("plugin", "name"),
     [
-        case("bsplinecurve", UV, slow=False),
-        *(case("bsplinecurve", name) for name in ("sensor.to_world", POSE, POINTS)),
+        *(case("bsplinecurve", name) for name in ("sensor.to_world", POSE, POINTS, UV)),
         *(case("linearcurve", name) for name in ("sensor.to_world", POSE, POINTS, UV)),
     ],
 )

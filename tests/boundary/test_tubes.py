@@ -152,11 +152,6 @@ def test_reverse_mode_is_the_transpose(what: str) -> None:
             "'dielectric' of 'body'; give it a 'conductor', or make",
         ),
         ({"bsdf": {"type": "plastic"}, "type": "linearcurve"}, "auto", "'plastic' of 'body'; give it a 'conductor'"),
-        (
-            {"control_points": tube("crossed"), "curve_starts": [0, 8]},
-            "auto",
-            "curves 0 and 1 of 'body' run through each other, along curves that move: up to",
-        ),
     ],
 )
 def test_what_has_no_terms_is_refused(change: dict, boundary, problem: str) -> None:

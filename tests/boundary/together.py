@@ -152,6 +152,13 @@ def room(*effects):
     }
 
 
+#: Pairs whose derivatives by what moves are refused, each with the sentence.
+REFUSED = {
+    ("rough glass", "curve"): "the smooth lobe behind the surface",
+    ("rough glass", "grid"): "the smooth lobe behind the surface",
+    ("smoke", "curve"): "what moves beside media is not followed where there is 'curve'",
+    ("smoke", "grid"): "what moves beside media is not followed where there is 'blob'",
+}
 PAIRS = [pair for pair in itertools.combinations(EFFECTS, 2) if set(pair) != {"checkers", "bitmap"}]
 register({f"together: {a}, {b}": lambda a=a, b=b: room(a, b) for a, b in PAIRS})
 

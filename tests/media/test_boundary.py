@@ -237,14 +237,13 @@ def test_guided_equals_unguided(method):
     [
         ({}, {"boundary": psdr.boundary.PathSpace(guiding=psdr.guiding.Grid())}, r"use guiding\.KdTree"),
         ({}, {"hide_emitters": True}, "show the lights"),
-        ({"shelf": square(0.3, 0.4)}, {}, "move them apart"),
         (
             {"smoke": cube(grids(grid(puffs(4), filter_type="nearest")), translate=(9, 9, 9))},
             {},
             "make its filter 'trilinear'",
         ),
     ],
-    ids=["guiding", "hidden", "pierced", "grid"],
+    ids=["guiding", "hidden", "grid"],
 )
 def test_what_is_not_estimated_is_refused(parts, integrator, words):
     scene = curtain(**LIGHTS["area"], **parts)

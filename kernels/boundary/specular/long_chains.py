@@ -28,7 +28,7 @@ def make_long_chains_kernel(config: PathConfig):
     """
     start = make_camera_start(config)
     if config.media is not None:
-        return _make_media_kernel(config, start)
+        return make_long_media_chains_kernel(config)
     path_step = make_path_step(config, False)
 
     @wp.kernel(module="unique", enable_backward=False)
@@ -66,8 +66,10 @@ def make_long_chains_kernel(config: PathConfig):
     return long_chains
 
 
-def _make_media_kernel(config: PathConfig, start: wp.Function) -> wp.Kernel:
+@functools.cache
+def make_long_media_chains_kernel(config: PathConfig) -> wp.Kernel:
     """Return the kernel in media: surfaces that are not there are no vertices, points that scatter are."""
+    start = make_camera_start(config)
     media_step = make_media_step(config, False)
     is_interface, _past = make_null_surface(config.surfaces, config.lights)
 
