@@ -1,14 +1,15 @@
-"""Recovers a chain link from twelve photographs, starting from 27 small balls: they merge, vanish, and leave a hole.
+"""Recovers a chain link and its colours from twelve photographs, starting from 27 small grey balls that merge.
 
     python examples/recover_genus.py            # some minutes on two cores
     python examples/recover_genus.py --quick    # smaller and rougher
 
 The surface is the zero set of a grid of signed distances (``sdfgrid``, cubic), so its topology is free to change; a
-mesh's is not. What the photographs say reaches the grid by shading (interior term) and by silhouettes and shadows
-(boundary term of smooth silhouettes, ``docs/theory/implicit.md``). Steps are smoothed (``psdr.optim.LargeSteps``), a
-Laplacian regulariser keeps the surface from wrinkling, and values are made distances again from time to time
-(``psdr.sdf.redistance``), which does not move the surface. The grid is refined once on the way. A single ball would
-dent and not open: nothing is seen of a hole before there is one. Smaller balls, or fewer steps, may end at an open C.
+mesh's is not. Its colours are voxels of a ``volume``, found together with it. What the photographs say reaches the
+grid by shading (interior term) and by silhouettes and shadows (boundary term of smooth silhouettes,
+``docs/theory/implicit.md``). Steps are smoothed (``psdr.optim.LargeSteps``), a Laplacian regulariser keeps the
+surface from wrinkling, and values are made distances again from time to time (``psdr.sdf.redistance``), which does
+not move the surface. The grid is refined once on the way. A single ball would dent and not open: nothing is seen of a
+hole before there is one. Smaller balls, or fewer steps, may end at an open C.
 
 Leaves in ``out/genus/``: ``result.png`` (photographs, start, recovered), ``steps.png`` (the surface on its way),
 ``loss.png``, ``link.ply`` (the recovered mesh) and ``report.json``, in which the Euler characteristic of the extracted
@@ -25,13 +26,14 @@ import numpy as np
 import recovery
 import trimesh
 import warp as wp
+from scipy.ndimage import map_coordinates
 from scipy.spatial import cKDTree
 
 import warp_psdr as psdr
 from warp_psdr import plots
 
 ROOT = Path(__file__).resolve().parents[1]
-GRID = "link.grid"
+GRID, COLORS = "link.grid", "link.bsdf.reflectance.volume.data"
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
 #: Photographs that are given, and that judge; samples of each, and their seed, which no step uses.
 GIVEN, KEPT, PHOTO_SPP, PHOTO_SEED = 12, 2, 256, 2**32 - 1000
@@ -42,6 +44,11 @@ BOX, LENGTHS = psdr.Transform.translate([-1.0, -1.0, -1.0]) @ psdr.Transform.sca
 #: Learning rate at the start of a grid, in voxels; the share to which it falls along a half cosine; weight of the
 #: Laplacian in its steps.
 RATE, FALL, SMOOTHING = 2.0, 0.1, 1.0
+#: Area of a part, over that of the largest one, up to which it is a speck that hardly a pixel shows.
+SPECK = 0.01
+#: Voxels of the colours along an axis; learning rate, of values between 0 and 1; share of the steps before which they
+#: stay grey: what is left of the balls would else take the colour of the sky behind it.
+VOXELS, COLOR_RATE, PAINTED = 9, 0.03, 0.4
 #: Steps after which the first camera shows the surface.
 SHOWN = (12, 24, 36, 48, 72, 336)
 #: Weight of the regulariser; steps between two calls that restore distances.
@@ -69,6 +76,26 @@ def link(n: int) -> np.ndarray:
     return (np.hypot(np.hypot(along, y) - 0.48, z) - 0.16)[..., None].astype(np.float32)
 
 
+def colors() -> np.ndarray:
+    """Return the colours that are sought, (n, n, n, 3): three waves across the box."""
+    waves = np.sin(nodes(VOXELS) @ np.array([[2.1, 0.4, -1.2], [0.7, 2.3, 0.5], [-0.9, 1.1, 1.9]]))
+    return (0.5 + 0.3 * waves).astype(np.float32)
+
+
+def grey() -> np.ndarray:
+    """Return the colours at the start."""
+    return np.full((VOXELS, VOXELS, VOXELS, 3), 0.5, np.float32)
+
+
+def color_error(found: np.ndarray, mesh: trimesh.Trimesh) -> float:
+    """Return the mean difference of colours from those that are sought, at points of a surface."""
+    at = (mesh.sample(20000, seed=2) + 1.0) / 2.0 * VOXELS - 0.5  # the middle of a voxel has its value
+    at = at[:, ::-1].T  # axes Z, Y, X
+    read = (map_coordinates(a[..., k], at, order=1, mode="nearest") for a in (found, colors()) for k in range(3))
+    values = np.array(list(read)).reshape(2, 3, -1)
+    return float(np.abs(values[0] - values[1]).mean())
+
+
 def origin_of(view: int) -> list[float]:
     """Return where a camera stands."""
     angle = 2.0 * np.pi * (view / GIVEN if view < GIVEN else (view - GIVEN) * 0.5 + 0.04)
@@ -76,7 +103,7 @@ def origin_of(view: int) -> list[float]:
     return [3.4 * np.sin(angle), height, 3.4 * np.cos(angle)]
 
 
-def build(grid: np.ndarray, resolution: int) -> psdr.Scene:
+def build(grid: np.ndarray, voxels: np.ndarray, resolution: int) -> psdr.Scene:
     """Return the shape below a sky and an area light, and fourteen cameras around it."""
     lamp = psdr.Transform.look_at([1.5, 3.5, 1.0], [0, 0, 0], [0, 0, 1])
     scene: dict = {
@@ -86,7 +113,10 @@ def build(grid: np.ndarray, resolution: int) -> psdr.Scene:
             "grid": grid,
             "interpolation": "cubic",
             "to_world": BOX,
-            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.8, 0.65, 0.3]}},
+            "bsdf": {
+                "type": "diffuse",
+                "reflectance": {"type": "volume", "volume": {"type": "gridvolume", "data": voxels, "to_world": BOX}},
+            },
         },
         "lamp": {
             "type": "rectangle",
@@ -118,12 +148,14 @@ def finer(values: np.ndarray, n: int) -> np.ndarray:
 
 
 def surface(values: np.ndarray) -> trimesh.Trimesh:
-    """Return the mesh of the surface in the world, without triangles that are no larger than rounding."""
+    """Return the mesh of the surface in the world, without triangles like roundings and without specks."""
     mesh = trimesh.Trimesh(*psdr.sdf.to_mesh(values, BOX, cubic=True))
     mesh.merge_vertices(digits_vertex=5)
     mesh.update_faces(mesh.nondegenerate_faces())
     mesh.remove_unreferenced_vertices()
-    return mesh
+    parts = mesh.split(only_watertight=False)
+    largest = max(part.area for part in parts)
+    return trimesh.util.concatenate([part for part in parts if part.area > SPECK * largest])
 
 
 def distance(a: trimesh.Trimesh, b: trimesh.Trimesh) -> float:
@@ -144,25 +176,30 @@ def main(
     began = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     sought = psdr.sdf.coefficients(link(sizes[-1]))
-    photos = photographs(build(sought, resolution), PHOTO_SEED)
+    photos = photographs(build(sought, colors(), resolution), PHOTO_SEED)
+    voxels = grey()
     grid = psdr.sdf.coefficients(balls(sizes[0]))
     first = surface(grid)
-    before = photographs(build(grid, resolution), PHOTO_SEED + 100)
+    before = photographs(build(grid, voxels, resolution), PHOTO_SEED + 100)
     losses: list[float] = []
     shown: dict[int, np.ndarray] = {0: before[0]}
     order = np.random.default_rng(0)
     for size, count in zip(sizes, steps, strict=True):
         if size != grid.shape[0]:
             grid = psdr.sdf.redistance(finer(grid, size), LENGTHS, cubic=True)
-        scene = build(grid, resolution)
+        scene = build(grid, voxels, resolution)
         params = psdr.traverse(scene)
-        params.requires_grad(GRID)
         voxel = LENGTHS[0] / (size - 1)
-        optimizer = psdr.optim.LargeSteps(params, RATE * voxel, lambda_=SMOOTHING, betas=(0.8, 0.95))
+        rates: dict[str, float] = {}
         for step in range(count):
             if step % GIVEN == 0:
                 turns = order.permutation(GIVEN)
             view = int(turns[step % GIVEN])
+            paints = len(losses) >= PAINTED * sum(steps)
+            if not rates or paints != (COLORS in rates):
+                rates = {GRID: RATE * voxel} | ({COLORS: COLOR_RATE} if paints else {})
+                params.requires_grad_only(*rates)
+                optimizer = psdr.optim.LargeSteps(params, rates, lambda_=SMOOTHING, betas=(0.8, 0.95))
             tape = wp.Tape()
             with tape:
                 options = {"sensor": view, "integrator": INTEGRATOR, "spp": spp, "seed": len(losses)}
@@ -178,12 +215,12 @@ def main(
                 params.update(GRID)
             if len(losses) in SHOWN:
                 shown[len(losses)] = psdr.render(scene, integrator=INTEGRATOR, spp=64, seed=1).numpy()
-        grid = params[GRID].numpy().copy()
+        grid, voxels = params[GRID].numpy().copy(), params[COLORS].numpy().reshape(grey().shape).copy()
         number = surface(grid).euler_number
         print(f"{size} nodes an axis: loss {np.mean(losses[-2 * GIVEN :]):.5f}, Euler number {number}", flush=True)
     found = photographs(scene, PHOTO_SEED + 200)
-    states = (sought, psdr.sdf.coefficients(balls(sizes[0])), grid)
-    views = tuple(drawn(build(state, FINER * resolution), PHOTO_SEED + 300 + 100 * i) for i, state in enumerate(states))
+    states = ((sought, colors()), (psdr.sdf.coefficients(balls(sizes[0])), grey()), (grid, voxels))
+    views = tuple(drawn(build(*s, FINER * resolution), PHOTO_SEED + 300 + 100 * i) for i, s in enumerate(states))
     mesh = surface(grid)
     mesh.export(folder / "link.ply")
     titles = [f"step {step}" for step in shown] + ["photograph"]
@@ -195,6 +232,9 @@ def main(
         **recovery.view_report(folder, photos, before, found, GIVEN, views),
         "Euler number: start, recovered, sought": [m.euler_number for m in (first, mesh, wanted)],
         "mean distance of the surfaces in voxels": round(distance(mesh, wanted) / voxel, 3),
+        "mean difference of colours at the surface: start, recovered": [
+            round(color_error(found_colors, wanted), 3) for found_colors in (grey(), voxels)
+        ],
         "nodes an axis": sizes[-1],
         "steps": sum(steps),
         "seconds": round(time.perf_counter() - began),
@@ -204,4 +244,4 @@ def main(
 
 
 if __name__ == "__main__":
-    recovery.run(main, __doc__, {"sizes": (25,), "resolution": 40, "steps": (160,)})
+    recovery.run(main, __doc__, {"resolution": 48, "spp": 4})
