@@ -14,8 +14,10 @@ from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projecti
 from warp_psdr.options.interior import Replay
 from warp_psdr.plan import media
 from warp_psdr.scene.materials.bsdfs import model_of
+from warp_psdr.scene.shapes.shading import vertex_normals
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.light_frames import has_hard_frame
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -75,23 +77,24 @@ def _unknown(scene: Scene, config: PathConfig, integrator: PathIntegrator, metho
             continue
         if b.stepped.get(i):
             return f"a texture of {shape.path!r} has steps, whose shadows are not known; use a bilinear bitmap"
-        creases, seams = _creases_and_seams(scene, i)
-        if creases and any(model.plugin not in EVEN for model in models):
+        creases, seams = kept(scene, "creases and seams", lambda: _creases_and_seams(scene))
+        if creases[i] and any(model.plugin not in EVEN for model in models):
             return f"{shape.path!r} lets through another part of it on either side of its creases; give it normals"
-        if seams and c.READ_TEXCOORDS & {t.kind for t in map(b.textures.__getitem__, b.textures_of(b.shapes[i]))}:
+        if seams[i] and c.READ_TEXCOORDS & {t.kind for t in map(b.textures.__getitem__, b.textures_of(b.shapes[i]))}:
             return f"the texture of {shape.path!r} jumps along a seam of its coordinates; split the mesh along the seam"
     return ""
 
 
-def _creases_and_seams(scene: Scene, number: int) -> tuple[bool, bool]:
-    """Whether a mesh has edges at which its normal jumps, and seams of texture coordinates."""
-    edges, shape = scene_adjacency(scene), scene.builder.shapes[number]
-    inner = (edges.count == 2) & (scene.builder.face_shape[edges.faces[edges.first[:-1]]] == number)
-    seams = inner & (edges.ends != edges.twins).any(axis=1)
-    creases = inner & (edges.wedge > 0.0)
-    if shape.smooth == 1:
-        first = shape.normal_offset + 3 * shape.first_vertex
-        normals = scene.values.numpy()[first : first + 3 * shape.vertex_count].reshape(-1, 3)
-        sides = [normals[v[creases & seams] - shape.first_vertex] for v in (edges.ends, edges.twins)]
-        creases = np.abs(sides[0] - sides[1]) > ONE_NORMAL
-    return bool(creases.any()), bool(seams.any())
+def _creases_and_seams(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Return which meshes have edges at which their normal jumps, and which have seams of texture coordinates, (S,)."""
+    edges, shapes = scene_adjacency(scene), scene.builder.shapes
+    of = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
+    seams = (edges.count == 2) & (edges.ends != edges.twins).any(axis=1)
+    normals = np.zeros((scene.vertex_count, 3), np.float32)
+    for shape, own in vertex_normals(scene):
+        normals[shape.first_vertex : shape.first_vertex + shape.vertex_count] = own
+    jumps = np.array([shape.smooth == 0 for shape in shapes])[of]
+    jumps[seams] |= (np.abs(normals[edges.ends[seams]] - normals[edges.twins[seams]]) > ONE_NORMAL).any(axis=(1, 2))
+    creases = (edges.count == 2) & (edges.wedge > 0.0) & jumps
+    numbers = np.arange(len(shapes))
+    return np.isin(numbers, of[creases]), np.isin(numbers, of[seams])

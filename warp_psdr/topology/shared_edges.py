@@ -81,9 +81,10 @@ def goes_on(scene: Scene, edges: Adjacency, numbers: np.ndarray, faces: np.ndarr
         return found
     e, face = numbers.reshape(-1)[rows], np.broadcast_to(faces, numbers.shape).reshape(-1)[rows]
     others = edges.faces[edges.first[e][:, None] + np.minimum(np.arange(MOST), edges.count[e][:, None] - 1)]
-    shape, corners = scene.builder.face_shape, scene.points.astype(np.float64)[scene.builder.indices]
+    shape = scene.builder.face_shape
     own = (shape[others] == shape[face][:, None]) & (others != face[:, None])
-    n, m = (np.cross(corners[f, 1] - corners[f, 0], corners[f, 2] - corners[f, 0]) for f in (face[:, None], others))
+    corners = (scene.points[scene.builder.indices[f]].astype(np.float64) for f in (face[:, None], others))
+    n, m = (np.cross(p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0]) for p in corners)
     sine = np.linalg.norm(np.cross(n, m), axis=2)
     flat = sine <= FLAT * np.linalg.norm(n, axis=2) * np.linalg.norm(m, axis=2)
     found.reshape(-1)[rows] = (own & flat).any(axis=1)

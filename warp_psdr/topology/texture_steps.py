@@ -113,16 +113,14 @@ def one_of_each(names: np.ndarray) -> np.ndarray:
 
 def coincide(scene: Scene, carriers: Carriers) -> int:
     """Return a shape on which a line of one of some textures lies on one of another texture; -1: there is none."""
-    for shape in sorted({shape for shape, _texture in carriers}):
-        own = frozenset(carrier for carrier in carriers if carrier[0] == shape)
-        others = frozenset((shape, texture) for texture in scene.builder.stepped.get(shape, ()))
-        if others - own and shape not in scene.builder.primitives:
-            parts = (own, others - own)
-            if len(_lines(scene, own | others, True).length) < sum(len(_lines(scene, p, True).length) for p in parts):
-                return shape
-        if len(own) > 1 and shape not in scene.builder.primitives:
-            single = sum(len(_lines(scene, frozenset({carrier}), True).length) for carrier in own)
-            if len(_lines(scene, own, True).length) < single:
+    for shape, texture in sorted(carriers):
+        every = frozenset((shape, other) for other in scene.builder.stepped.get(shape, ()))
+        alone = frozenset({(shape, texture)})
+        if every - alone and shape not in scene.builder.primitives:
+            all_of_them, single, others = (
+                len(_lines(scene, c, True).length) for c in (every | alone, alone, every - alone)
+            )
+            if all_of_them < single + others:
                 return shape
     return -1
 
@@ -146,14 +144,15 @@ def _places(scene: Scene, carrier: tuple[int, int]) -> tuple[np.ndarray, np.ndar
     shape, texture = b.shapes[carrier[0]], b.textures[carrier[1]]
     faces = np.flatnonzero(b.face_shape == carrier[0])
     uv = _texcoords(flat, shape, b.indices[faces])
-    matrix = flat[texture.to_uv : texture.to_uv + 9].astype(np.float64).reshape(3, 3)
-    return faces, (uv @ matrix[:2, :2].T + matrix[:2, 2]) * cells_of(texture)
+    matrix, cells = place_of(scene, texture)
+    return faces, (uv @ matrix[:, :2].T + matrix[:, 2]) * cells
 
 
-def cells_of(texture: Texture) -> np.ndarray:
-    """Return the cells of a texture in a unit of its coordinates, (2,)."""
+def place_of(scene: Scene, texture: Texture) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first two rows (2, 3) of a texture's transformation, and its cells in a unit of coordinates (2,)."""
+    rows = scene.values.numpy()[texture.to_uv : texture.to_uv + 6].astype(np.float64).reshape(2, 3)
     cells = (2.0, 2.0) if texture.kind == c.TEXTURE_CHECKERBOARD else (texture.width, texture.height)
-    return np.asarray(cells, np.float64)
+    return rows, np.asarray(cells, np.float64)
 
 
 def _texcoords(flat: np.ndarray, shape: Shape, corners: np.ndarray) -> np.ndarray:
@@ -170,8 +169,7 @@ def _lines_of(scene: Scene, carrier: tuple[int, int], seams: bool) -> tuple[np.n
     The last ones, (N, 3), are where they lie in texture coordinates: a unit vector across, and the distance from 0.
     """
     faces, place = _places(scene, carrier)
-    texture = scene.builder.textures[carrier[1]]
-    matrix = scene.values.numpy()[texture.to_uv : texture.to_uv + 9].astype(np.float64).reshape(3, 3)
+    matrix, cells = place_of(scene, scene.builder.textures[carrier[1]])
     corners = scene.points[scene.builder.indices[faces]].astype(np.float64)
     found = []
 
@@ -180,7 +178,7 @@ def _lines_of(scene: Scene, carrier: tuple[int, int], seams: bool) -> tuple[np.n
         across, shift = matrix[axis, :2], matrix[axis, 2]
         turned = -1.0 if across[np.argmax(across != 0.0)] < 0.0 else 1.0
         size = turned * max(float(np.hypot(*across)), 1e-300)
-        distance = (level / cells_of(texture)[axis] - shift) / size
+        distance = (level / cells[axis] - shift) / size
         where = np.column_stack([np.tile(across / size, (len(own), 1)), distance])
         found.append((faces[own].astype(np.int32), *marks, ends, where))
 

@@ -15,7 +15,7 @@ import warp as wp
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.boundary.crossing.tube_steps import JOINT, SEAM, TubeSteps
 from warp_psdr.topology.kinds.tube_items import curves_at, follows, points_at
-from warp_psdr.topology.texture_steps import MOST, Carriers, cells_of, one_of_each
+from warp_psdr.topology.texture_steps import MOST, Carriers, one_of_each, place_of
 from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ def _tube_lines(scene: Scene, carriers: Carriers) -> TubeSteps | None:
 def too_many_on_tubes(scene: Scene, carriers: Carriers) -> str:
     """Say which texture has more lines on curves than can be listed; empty: none."""
     for shape, number in sorted(carriers):
-        matrix, cells = _place(scene, scene.builder.textures[number])
+        matrix, cells = place_of(scene, scene.builder.textures[number])
         curves = curves_at(scene, shape)
         if (cells * (1.0 + np.abs(matrix[:, 0]))).sum() * len(curves.firsts) + (
             cells * np.abs(matrix[:, 1])
@@ -67,7 +67,7 @@ def slide_on_seams(scene: Scene, carriers: Carriers) -> bool:
     for shape, number in sorted(carriers):
         curves = curves_at(scene, shape)
         texture = scene.builder.textures[number]
-        matrix, cells = _place(scene, texture)
+        matrix, cells = place_of(scene, texture)
         for axis in range(2):
             a, b, d = cells[axis] * matrix[axis]
             on_seam = a != 0.0 and b == 0.0 and _whole(d) and not _periodic(texture, matrix, cells)
@@ -80,12 +80,6 @@ def slide_on_seams(scene: Scene, carriers: Carriers) -> bool:
 
 def _whole(value: float) -> bool:
     return bool(abs(value - round(value)) < WHOLE * (1.0 + abs(value)))
-
-
-def _place(scene: Scene, texture: Texture) -> tuple[np.ndarray, np.ndarray]:
-    """Return the first two rows (2, 3) of a texture's transformation, and its cells (2,)."""
-    values = scene.values[texture.to_uv : texture.to_uv + 6].numpy().astype(np.float64).reshape(2, 3)
-    return values, cells_of(texture)
 
 
 def _periodic(texture: Texture, matrix: np.ndarray, cells: np.ndarray) -> bool:
@@ -104,7 +98,7 @@ def _lines_of(scene: Scene, shape: int, number: int) -> tuple[np.ndarray, np.nda
     """Return marks (N, 4), ends (N, 4) and lengths (N,) of a texture's lines on curves (``TubeSteps``)."""
     curves = curves_at(scene, shape)
     texture, count = scene.builder.textures[number], len(curves.firsts)
-    matrix, cells = _place(scene, texture)
+    matrix, cells = place_of(scene, texture)
     record = scene.face_count + scene.builder.primitives.index(shape)
     points, goes_on = points_at(scene, shape), follows(curves.firsts)
     last = curves.firsts + (3 if curves.cubic else 1)
