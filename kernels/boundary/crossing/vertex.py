@@ -28,7 +28,8 @@ from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.forwards import make_sees
 from warp_psdr.kernels.boundary.local_form import barycentrics_at
-from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink, moves
+from warp_psdr.kernels.boundary.path_space.edge_segment import moves
+from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.dispatch import make_coordinates
 from warp_psdr.kernels.boundary.silhouette.ends import make_sensor_end

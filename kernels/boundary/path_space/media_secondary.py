@@ -16,11 +16,12 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.coincident import edge_share
 from warp_psdr.kernels.boundary.detector import Incident
 from warp_psdr.kernels.boundary.guiding.techniques import Guide, make_techniques, octant_point
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind
 from warp_psdr.kernels.boundary.media_radiance import make_end_radiance, make_media_incident
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
+from warp_psdr.kernels.boundary.path_space.edge_segment import edge_segment, moves
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
-from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink, moves
+from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.invalid import count_invalid, vanishes
@@ -85,23 +86,13 @@ def make_media_segment(config: PathConfig, deep: bool):
         direction: Direction,
         eye: wp.vec3,
     ) -> tuple[Segment, ClearLine]:
-        r = Segment()
-        r.face2 = -1
-        r.light = -1
-        r.w = direction.w
         ahead = ClearLine()
         along = wp.normalize(point.p1 - point.p0)
-        m = wp.cross(along, r.w)
-        side = facing_side(scene, edges, point, along, r.w)
-        sine = wp.length(m)
-        if side == 0.0 or sine <= 0.0:
+        r, side, moved = edge_segment(scene, edges, moving, point, along, direction.w)
+        if side == 0.0:
             return r, ahead
-        r.boundary_normal = side * m
-        r.step = edge_step(scene, edges, point.edge)
-        r.x = point.x - (r.step / sine) * r.boundary_normal
+        r.known = moved
         behind = edge_behind(scene, r.step)
-        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-            r.known += moves(scene, moving, edges.faces[i])
         r.source = r.x - behind * r.w
         r.t1 = behind
         medium = medium_at(scene, eye, r.x, camera.medium)

@@ -20,11 +20,10 @@ from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
     edge_behind,
-    edge_step,
-    facing_side,
     make_edge_sink,
 )
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
+from warp_psdr.kernels.boundary.path_space.edge_segment import edge_segment, moves
 from warp_psdr.kernels.boundary.path_space.sheet_shadows import make_sheet_segment, make_sheet_source
 from warp_psdr.kernels.boundary.path_space.timed_secondary import make_timed_secondary_kernel
 from warp_psdr.kernels.boundary.transport import Segment, make_source, make_transport
@@ -51,11 +50,6 @@ from warp_psdr.kernels.visibility import visibility_of
 SLOT_EDGE, SLOT_DIRECTION = 0, 1
 
 
-@wp.func
-def moves(scene: Scene, moving: wp.array(dtype=wp.int32), face: wp.int32) -> wp.int32:
-    return moving[scene.triangles[face].shape]
-
-
 @functools.cache
 def make_segment(config: PathConfig):
     """Return ``segment(scene, edges, moving, point, direction, direct) -> Segment``, its scale without densities.
@@ -80,23 +74,12 @@ def make_segment(config: PathConfig):
         direction: Direction,
         direct: wp.bool,
     ) -> Segment:
-        r = Segment()
-        r.face2 = -1
-        r.light = -1
-        r.w = direction.w
         along = wp.normalize(point.p1 - point.p0)
-        m = wp.cross(along, r.w)
-        side = facing_side(scene, edges, point, along, r.w)
-        sine = wp.length(m)
-        if side == 0.0 or sine <= 0.0:
+        r, side, any_moves = edge_segment(scene, edges, moving, point, along, direction.w)
+        if side == 0.0:
             return r
-        r.boundary_normal = side * m
-        step = edge_step(scene, edges, point.edge)
-        r.x = point.x - (step / sine) * r.boundary_normal
+        step = r.step
         behind = edge_behind(scene, step)
-        any_moves = wp.int32(0)
-        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-            any_moves += moves(scene, moving, edges.faces[i])
         r.source = r.x - behind * r.w
         start1 = behind
         # Towards the source. A surface at the edge itself hides what was aimed at, otherwise it is a contact.
@@ -159,9 +142,8 @@ def make_segment(config: PathConfig):
         r.face1 = hit1.face
         r.u1 = hit1.u
         r.v1 = hit1.v
-        r.step = step
         if r.light >= 0:
-            inside = point.x + (step / sine) * r.boundary_normal
+            inside = point.x + (step / wp.length(r.boundary_normal)) * r.boundary_normal
             way = r.t1 - behind - step
             if wp.static(not config.surfaces.primitives) or not is_primitive_at(scene, r.face1):
                 way = distance_to_plane(scene, r.face1, inside, r.w, behind)

@@ -13,8 +13,9 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.coincident import distance_to_plane, edge_share
 from warp_psdr.kernels.boundary.detector import NEVER, ROW_COUNT, ROWS, Incident
-from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind, edge_step, facing_side
+from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, edge_behind
 from warp_psdr.kernels.boundary.path_space.direction import Direction
+from warp_psdr.kernels.boundary.path_space.edge_segment import edge_segment, moves
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR, LOBE_NULL
 from warp_psdr.kernels.interaction import make_interaction
@@ -63,24 +64,13 @@ def make_sheet_segment(config: PathConfig):
         direction: Direction,
         sampler: Sampler,
     ) -> Segment:
-        r = Segment()
-        r.face2 = -1
-        r.light = direction.light
-        r.w = direction.w
         along = wp.normalize(point.p1 - point.p0)
-        m = wp.cross(along, r.w)
-        side = facing_side(scene, edges, point, along, r.w)
-        sine = wp.length(m)
-        if side == 0.0 or sine <= 0.0:
+        r, side, any_moves = edge_segment(scene, edges, moving, point, along, direction.w)
+        if side == 0.0:
             return r
-        r.boundary_normal = side * m
-        r.step = edge_step(scene, edges, point.edge)
-        r.x = point.x - (r.step / sine) * r.boundary_normal
+        r.light = direction.light
         r.radiance = direction.irradiance
         r.t2 = direction.distance
-        any_moves = wp.int32(0)
-        for i in range(edges.first[point.edge], edges.first[point.edge + 1]):
-            any_moves += moving[scene.triangles[edges.faces[i]].shape]
         # x_1 is one of all surfaces that the light reaches behind the edge.
         behind = edge_behind(scene, r.step)
         u = sample_1d(sampler, SLOT_FIRST)
@@ -118,7 +108,7 @@ def make_sheet_segment(config: PathConfig):
                     count = MOST_CROSSINGS + 1
         if r.face1 < 0:
             return r
-        if any_moves + moving[scene.triangles[r.face1].shape] == 0:
+        if any_moves + moves(scene, moving, r.face1) == 0:
             return r
         if direction.distance < 0.5 * FAR:
             r.tau = r.t1 / (r.t1 + direction.distance)

@@ -9,7 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.crossing.curve import OFF
 from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
-from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.path_space.edge_segment import moves
 from warp_psdr.kernels.boundary.silhouette.aim import TangentAim
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR

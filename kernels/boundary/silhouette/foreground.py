@@ -17,7 +17,7 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.detector import Incident, difference, make_incident
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.forwards import make_sees
-from warp_psdr.kernels.boundary.path_space.secondary import moves
+from warp_psdr.kernels.boundary.path_space.edge_segment import moves
 from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_DIRECTION, SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.ends import make_beside_curve, make_sensor_end
