@@ -7,17 +7,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from warp_psdr.kernels import constants as c
 from warp_psdr.options.boundary import EdgeSampling, Method, PathSpace, Projective
 from warp_psdr.options.interior import Replay
 from warp_psdr.plan import media
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.scene.shapes.shading import vertex_normals
-from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.light_frames import has_hard_frame
-from warp_psdr.topology.unchanged import kept
+from warp_psdr.topology.sheet_edges import creases_and_seams
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.vertex import PathConfig
@@ -29,8 +25,6 @@ if TYPE_CHECKING:
 METHODS = (PathSpace, Projective, EdgeSampling)
 #: Models whose null lobe weighs the same from all directions.
 EVEN = ("mask", "null")
-#: Difference of two normals, by component, up to which they are one.
-ONE_NORMAL = 1e-4
 
 
 def passes(
@@ -77,24 +71,9 @@ def _unknown(scene: Scene, config: PathConfig, integrator: PathIntegrator, metho
             continue
         if b.stepped.get(i):
             return f"a texture of {shape.path!r} has steps, whose shadows are not known; use a bilinear bitmap"
-        creases, seams = kept(scene, "creases and seams", lambda: _creases_and_seams(scene))
+        creases, seams = creases_and_seams(scene)
         if creases[i] and any(model.plugin not in EVEN for model in models):
             return f"{shape.path!r} lets through another part of it on either side of its creases; give it normals"
         if seams[i] and c.READ_TEXCOORDS & {t.kind for t in map(b.textures.__getitem__, b.textures_of(b.shapes[i]))}:
             return f"the texture of {shape.path!r} jumps along a seam of its coordinates; split the mesh along the seam"
     return ""
-
-
-def _creases_and_seams(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
-    """Return which meshes have edges at which their normal jumps, and which have seams of texture coordinates, (S,)."""
-    edges, shapes = scene_adjacency(scene), scene.builder.shapes
-    of = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
-    seams = (edges.count == 2) & (edges.ends != edges.twins).any(axis=1)
-    normals = np.zeros((scene.vertex_count, 3), np.float32)
-    for shape, own in vertex_normals(scene):
-        normals[shape.first_vertex : shape.first_vertex + shape.vertex_count] = own
-    jumps = np.array([shape.smooth == 0 for shape in shapes])[of]
-    jumps[seams] |= (np.abs(normals[edges.ends[seams]] - normals[edges.twins[seams]]) > ONE_NORMAL).any(axis=(1, 2))
-    creases = (edges.count == 2) & (edges.wedge > 0.0) & jumps
-    numbers = np.arange(len(shapes))
-    return np.isin(numbers, of[creases]), np.isin(numbers, of[seams])

@@ -17,13 +17,13 @@ from warp_psdr.kernels.boundary.local_form import Edges, edge_point
 from warp_psdr.kernels.boundary.media_radiance import make_media_incident
 from warp_psdr.kernels.boundary.path_space.intersection_curve import make_curve_draw
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
+from warp_psdr.kernels.boundary.path_space.media_walk import leaves_first
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.medium.line import make_line
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.step import leaving_step
@@ -94,11 +94,7 @@ def make_media_intersection_curve_kernel(config: PathConfig, role: str, camera_m
         s.t1 = wp.dot(s.x - first.x, s.w)
         if first.alive == 0 or s.t1 <= leaving_step(scene, s.face2):
             return
-        beyond = wp.float32(0.0)  # from x_1 on, where paths from it start
-        if not first.collides:
-            cosine = wp.abs(wp.dot(scene.triangles[first.face].normal, s.w))
-            beyond = wp.min(leaving_step(scene, first.face) / wp.max(cosine, GRAZING), 0.5 * s.t1)
-        s.source = s.x - (s.t1 - beyond) * s.w
+        s.source = s.x - (s.t1 - leaves_first(scene, first, s.w, s.t1)) * s.w
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate_segment(scene, target, edges, point, s, 1.0)

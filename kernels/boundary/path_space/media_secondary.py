@@ -21,6 +21,7 @@ from warp_psdr.kernels.boundary.media_radiance import make_end_radiance, make_me
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.path_space.edge_segment import edge_segment, moves
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
+from warp_psdr.kernels.boundary.path_space.media_walk import leaves_first
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
@@ -30,7 +31,6 @@ from warp_psdr.kernels.medium.coefficients import exp_minus
 from warp_psdr.kernels.medium.line import AHEAD, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.modules import wide_vectors
-from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.sggx import make_extinction_along
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_eye
@@ -230,11 +230,8 @@ def make_media_secondary_kernel(
         if s.t1 <= s.step:
             return
         s.known += 1
-        beyond = wp.float32(0.0)  # from x_1 on, where paths from it start
         if not first.collides:
             s.known += moves(scene, moving, first.face) - 1
-            cosine = wp.abs(wp.dot(scene.triangles[first.face].normal, s.w))
-            beyond = wp.min(leaving_step(scene, first.face) / wp.max(cosine, GRAZING), 0.5 * s.t1)
         if s.known == 0:
             return
         distance = s.t2
@@ -245,7 +242,7 @@ def make_media_secondary_kernel(
             scale = s.scale * wp.length(s.boundary_normal) * wp.length(point.p1 - point.p0) / (point.pdf * pdf)
         else:
             scale = s.scale * wp.length(point.p1 - point.p0) / (point.pdf * pdf * wp.float32(job.samples))
-        s.source = s.x - (s.t1 - beyond) * s.w
+        s.source = s.x - (s.t1 - leaves_first(scene, first, s.w, s.t1)) * s.w
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):
             rest = accumulate_segment(scene, target, edges, point, s, 1.0)

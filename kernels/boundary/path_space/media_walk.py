@@ -68,6 +68,15 @@ class Sight:
     line: ClearLine  # up to the vertex, from the near plane on
 
 
+@wp.func
+def leaves_first(scene: Scene, first: MediaWalk, w: wp.vec3, t1: wp.float32) -> wp.float32:
+    """How far from x_1 on, along w, paths from it start; ``t1``: the length of the segment up to the edge."""
+    if first.collides:
+        return 0.0
+    cosine = wp.abs(wp.dot(scene.triangles[first.face].normal, w))
+    return wp.min(leaving_step(scene, first.face) / wp.max(cosine, GRAZING), 0.5 * t1)
+
+
 @functools.cache
 def make_media_walk(config: PathConfig):
     """Return ``(first_vertex, sight, extend)``.
