@@ -54,7 +54,7 @@ LOBE_DELTA_REFLECTION = 2
 LOBE_DELTA_TRANSMISSION = 3
 #: Light passes as if there were no surface, with a weight.
 LOBE_NULL = 4
-#: Of ``Bsdf.lobes`` alone: a smooth lobe lies behind the surface.
+#: In ``Bsdf.lobes`` alone: a smooth lobe lies behind the surface.
 LOBE_BEHIND = 5
 
 # Phase functions (``Medium.phase``).

@@ -39,7 +39,7 @@ ACROSS = np.array([[x, y, z] for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (0
 class _Covered:
     """The surfaces of segments (P of them) by two parameters: along, [0, 1], and an angle.
 
-    Of straight segments a quarter of the first one is the sphere at either end, by the angle from the axis.
+    On straight segments a quarter of the first one is the sphere at either end, by the angle from the axis.
     """
 
     def __init__(self, tubes: TubeSegments, last: np.ndarray):

@@ -45,7 +45,7 @@ OFF, MAX_SHIFT = 3.0, 100.0
 def make_curve_draw():
     """Return ``draw(scene, edges, point, which, u4) -> Segment``: c on the first or second face of the curve.
 
-    Of x_1 it has the direction alone, -w; ``source`` is where the ray to x_1 starts.
+    The direction to x_1, -w, is known, and nothing else of x_1; ``source`` is where the ray to x_1 starts.
     """
 
     @wp.func

@@ -37,7 +37,7 @@ class Visit:
     d: wp.vec3
     lobe: wp.int32  # in which the path goes on
     attached: wp.int32  # 1: to that ray
-    #: Of a volume vertex, whose ``face``, u and v are those of the first surface behind it that is there.
+    #: These describe a volume vertex, whose ``face``, u and v are those of the first surface behind it that is there.
     medium: wp.int32  # from one; 0: the vertex is on a surface
     x: wp.vec3
     stretch: wp.float32  # as of ``make_nearness``
