@@ -8,7 +8,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, sharp_glass
+from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, refracts, sharp_glass
 from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
 from warp_psdr.kernels.boundary.specular.chain_outlines import begins_beside, make_chain_outline, make_one_sheet
@@ -39,6 +39,9 @@ from warp_psdr.kernels.visibility import visibility_of
 
 #: Where two surfaces meet, an edge within this many ray epsilons is what is crossed: they touch there.
 TOUCHING = 2.0
+#: Distance in steps from a corner at which rays pass it in any case: closer, roundings decide which of its surfaces
+#: a ray that leaves the other one starts behind.
+CORNER = 1.0
 #: The part of a line at which its two sides are looked at at most, in a notch.
 ASIDE_MOST = 0.01
 #: Squared sine of the angle between two planes below which they have no line in common.
@@ -185,7 +188,7 @@ def curve_crossing(
     r.phi_a = -wp.dot(m, a.o + t1 * a.d)
     r.phi_b = -wp.dot(m, b.o + t1 * b.d)
     through = let_through(scene, low.face, high.face, hidden)
-    apart_by = concave_distance(facing(n_low, d), facing(n_high, d), through)
+    apart_by = wp.max(concave_distance(facing(n_low, d), facing(n_high, d), through), CORNER)
     r.aside = aside(scene, block, m, wp.max(apart_by, off_curve(scene, low, high, along, m)), r.phi_a)
     r.valid = 1
     return r
@@ -327,11 +330,14 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
         apart_by = wp.float32(0.0)
         if r.edge == 1:
             apart_by = sharp_glass(scene, edges, own)
+            own_face = wp.where(own_low, low.face, high.face)
+            if refracts(scene, own_face):
+                apart_by = wp.max(apart_by, CORNER)
         if r.edge == 1 and wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:
             n_low = facing(low.ng, d)
             n_high = facing(high.ng, d)
             if not is_ridge(n_low, n_high, wp.sign(r.phi_a) * m, d):
-                apart_by = wp.max(apart_by, concave_distance(n_low, n_high, False))
+                apart_by = wp.max(apart_by, wp.max(concave_distance(n_low, n_high, False), CORNER))
         if wp.static(clear_of is not None):
             if r.edge == 3:
                 tri = scene.triangles[r.outline.face]
