@@ -6,8 +6,8 @@ import pytest
 import warp_psdr as psdr
 
 from .measure import MODES, Case, accumulated, assert_agrees, derivatives, differences, rows, slope
-from .mirrors import ALONG, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, slab
-from .scenes import ball, camera, diffuse, floor, mesh, register
+from .mirrors import ALONG, CAMERA, ETA, GLASS, GLASSES, LAMP, MIRROR, lamp, shining, slab
+from .scenes import ball, box, camera, diffuse, floor, mesh, register
 from .test_table import moved
 
 SHAPE, BALL = "shape.vertex_positions", "ball.vertex_positions"
@@ -98,6 +98,15 @@ def prism():
     }
 
 
+def sunk():
+    """A block of glass that is sunk into a floor that shines: at their common line its sides show the floor."""
+    return {
+        "sensor": camera((0.2, -3.0, 1.4), (0.0, -0.45, 0.2), fov=9.0),
+        "floor": shining(floor(bsdf=diffuse(0.0)), 0.9, 0.7, 0.5),
+        "glass": box((0.0, 0.0, 0.2), (0.6, 0.5, 0.3), GLASS, turn=0.5),
+    }
+
+
 def folded(count=33, depth=0.0022):
     """A pane of glass whose front is folded, by five degrees."""
     x = np.linspace(-0.8, 0.8, count)
@@ -110,6 +119,7 @@ def folded(count=33, depth=0.0022):
 
 register(
     {
+        "sunk glass": sunk,
         "prism": prism,
         "prism in a mirror": lambda: {
             **prism(),
@@ -136,6 +146,7 @@ def fold(values):
 SLIDES, RISES = moved(0.2, 1.0, 0.0), moved(0.1, 0.2, 1.0)
 CASES = [
     Case("wedge", SHAPE, SLIDES, 0.005, "slides", spp=1024, difference_spp=4096, slow=False),
+    Case("sunk glass", CAMERA, ALONG, 0.002, "camera moves", depth=4, spp=512, difference_spp=8192),
     Case("book", SHAPE, fold, 0.005, "back moves", spp=4096, difference_spp=16384),
     Case("book in a mirror", SHAPE, fold, 0.005, "back moves", depth=3, spp=1024, difference_spp=4096),
     Case("stuck in glass", BALL, ALONG, 0.005, "ball moves", depth=4, spp=4096, difference_spp=32768),

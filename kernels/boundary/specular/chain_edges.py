@@ -8,7 +8,14 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.concave_edge import concave_distance, facing, is_ridge, let_through, refracts, sharp_glass
+from warp_psdr.kernels.boundary.concave_edge import (
+    concave_distance,
+    facing,
+    is_ridge,
+    let_through,
+    refracts,
+    sharp_glass,
+)
 from warp_psdr.kernels.boundary.crossing.curve import MOST, OFF
 from warp_psdr.kernels.boundary.local_form import EdgePoint, Edges, barycentrics_at, split_between
 from warp_psdr.kernels.boundary.specular.chain_outlines import begins_beside, make_chain_outline, make_one_sheet
