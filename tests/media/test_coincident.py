@@ -68,6 +68,27 @@ def test_vertices_move_inwards_once_and_follow_edits():
     assert np.array_equal(scene.state().values, state.values)
 
 
+def test_glass_on_a_floor_is_an_image_as_if_it_were_lifted():
+    """Without a gap, which of the two rays meet first is up to rounding: a tenth of the floor's light was missing."""
+
+    def image(height, bsdf):
+        block = {"type": "cube", "to_world": T.translate([0, 0, height + 0.5]) @ T.scale([0.7, 0.6, 0.5]), "bsdf": bsdf}
+        floor = {**scenes.square(0.0, 3.0), "emitter": {"type": "area", "radiance": 1.0}}
+        camera = scenes.camera([1.2, -3.2, 2.0], [0, 0, 0.4], 20.0, 16)
+        scene = psdr.load_dict(scenes.whole(sensor=camera, floor=floor, block=block))
+        return scene, psdr.render(scene, integrator=psdr.PathIntegrator(max_depth=8), spp=64).numpy()
+
+    glass = {"type": "dielectric", "int_ior": 1.5}
+    scene, standing = image(0.0, glass)
+    assert heights(scene, "block") == pytest.approx(APART, rel=0.01)
+    assert any("'block' is of glass ('dielectric') and lies exactly on 'floor'" in n for n in scene.description.notes)
+    lifted = image(0.003, glass)[1]
+    assert lifted.mean() > 0.3
+    np.testing.assert_allclose(standing.mean((0, 1)), lifted.mean((0, 1)), rtol=0.005)
+    stone = {"type": "diffuse", "reflectance": 0.5}
+    assert heights(image(0.0, stone)[0], "block") == pytest.approx(0.0, abs=0.1)
+
+
 def test_what_lies_inside_of_another_one_is_moved_further():
     """Nested interfaces on one floor, and two beside each other, which share a face."""
     scene = world(outer=smoke(0.0, 0.9), beside=smoke(0.0, 0.4, x=1.3))

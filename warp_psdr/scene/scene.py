@@ -140,7 +140,7 @@ class Scene:
         self.accelerator.rebuild()
         self._shades_flat = None
         self._update_bounds()
-        self._nulls = interfaces.null_shapes(self)
+        self._passed = interfaces.let_through(self)
         self._part_interfaces(None)
         self._world.show(self.parameters.values())
         self._note_specks()
@@ -404,12 +404,12 @@ class Scene:
             launch(update_triangles, dim=record.face_count, inputs=mesh, outputs=[self.triangles], device=self.device)
 
     def _part_interfaces(self, moved: set[int] | None) -> set[int]:
-        """Move what is not there off what it lies on, and return the shapes that were moved.
+        """Move glass, and what is not there, off what it lies on, and return the shapes that were moved.
 
         Args:
             moved: Shapes that have moved since the last call; None: the scene is new.
         """
-        parted = interfaces.part(self, self._nulls, moved) if self._nulls else {}
+        parted = interfaces.part(self, self._passed, moved) if self._passed else {}
         if parted:
             self._follow_vertices(parted)
         if moved is None:

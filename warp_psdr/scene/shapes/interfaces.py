@@ -1,7 +1,7 @@
-"""Surfaces that are not there (``null``) and lie on others, such as the bottom of a cube of smoke on a floor.
+"""Surfaces of glass, or that are not there (``null``), that lie on others: the bottom of a cube of smoke on a floor.
 
-Rounding chooses which of two surfaces in one place a ray meets first, and behind the one that is not there it starts
-beyond the other: light comes through the floor. So the vertices of the ``null`` surface move off the other one, to its
+Rounding chooses which of two surfaces in one place a ray meets first, and behind the one that lets light pass it starts
+beyond the other: light comes through the floor. So the vertices of that surface move off the other one, to its
 inner side and by little more than the ray offset; then the order is that of the sides.
 
 Derivation: ``docs/theory/numerics.md#interfaces-on-surfaces``.
@@ -13,13 +13,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from warp_psdr.kernels.constants import LOBE_BEHIND, LOBE_DELTA_TRANSMISSION
 from warp_psdr.kernels.step import LEAVE
+from warp_psdr.scene.materials.bsdfs import model_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from warp_psdr.scene.description import ShapeDescription
     from warp_psdr.scene.scene import Scene
 
+#: Lobes of light that goes on behind a surface in another direction.
+BEHIND = {LOBE_BEHIND, LOBE_DELTA_TRANSMISSION}
 #: Ray offsets within which two parallel surfaces are one place, and by how many they lie apart afterwards.
 COINCIDENT, APART = 2.0, 3.0
 #: Rounds that look for what a surface was moved onto: interfaces in interfaces, all of which stand on one floor.
@@ -45,29 +50,43 @@ class Overlaps(NamedTuple):
     steps: np.ndarray
 
 
-def null_shapes(scene: Scene) -> list[int]:
-    """Return the numbers of the meshes that are not there."""
+def let_through(scene: Scene) -> list[int]:
+    """Return the numbers of the meshes of glass, and of those that are not there."""
     shapes = scene.description.shapes
-    return [i for i, s in enumerate(shapes) if s.bsdf.model == "null" and s.geometry is None and len(s.faces)]
+    return [i for i, s in enumerate(shapes) if (_absent(s) or _glass(s)) and s.geometry is None and len(s.faces)]
 
 
-def part(scene: Scene, nulls: list[int], moved: set[int] | None = None) -> dict[int, set[int]]:
-    """Move the vertices of surfaces that are not there off those that they lie on.
+def _absent(shape: ShapeDescription) -> bool:
+    return shape.bsdf.model == "null"
+
+
+def _glass(shape: ShapeDescription) -> bool:
+    """Whether both sides send light on behind the surface, turned."""
+    models = [model_of(side) for side in shape.bsdf.sides]
+    return all(BEHIND.intersection(model.lobes) and not model.has_null for model in models)
+
+
+def part(scene: Scene, passed: list[int], moved: set[int] | None = None) -> dict[int, set[int]]:
+    """Move the vertices of surfaces that let light pass off those that they lie on.
+
+    What is not there moves off everything, glass off what no light passes: where two glasses touch, no order is meant.
 
     Args:
         scene: whose values change.
-        nulls: ``null_shapes``.
+        passed: ``let_through``.
         moved: numbers of the shapes that have moved since the last call; None: all.
 
     Returns:
         Numbers of the shapes whose vertices were moved, and of those that they lay on.
     """
     found: dict[int, set[int]] = {}
+    solid = ~np.isin(np.arange(len(scene.description.shapes)), passed)
     # What lies in another one ends up further inside.
-    for shape in sorted(nulls, key=lambda i: -scene.boxes.size[i]):
+    for shape in sorted(passed, key=lambda i: -scene.boxes.size[i]):
+        met = np.ones_like(solid) if _absent(scene.description.shapes[shape]) else solid
         for _round in range(ROUNDS):
             points = scene.points.astype(np.float64)
-            overlaps = _overlaps(scene, points, shape, moved)
+            overlaps = _overlaps(scene, points, shape, met, moved)
             steps = APART * overlaps.steps
             if not len(steps) or steps.max() > LARGEST * scene.boxes.size[shape]:
                 break
@@ -80,8 +99,8 @@ def notes(scene: Scene, parted: dict[int, set[int]]) -> list[str]:
     """Return what to tell of shapes that ``part`` has moved."""
     named = scene.description.shapes
     return [
-        f"'{named[i].path}' is not there ('null') and lies exactly on "
-        f"{', '.join(repr(named[k].path) for k in sorted(on))}; its vertices there are moved inwards, by "
+        f"'{named[i].path}' is {'not there' if _absent(named[i]) else 'of glass'} ('{named[i].bsdf.model}') and lies "
+        f"exactly on {', '.join(repr(named[k].path) for k in sorted(on))}; its vertices there are moved inwards, by "
         f"{APART * scene.ray_epsilon:.1g} or less, so that rays meet one before the other"
         for i, on in parted.items()
     ]
@@ -94,12 +113,12 @@ def _ray_offsets(scene: Scene, corners: np.ndarray) -> np.ndarray:
     return LEAVE * np.abs(corners).max(axis=(1, 2), initial=0.0)
 
 
-def _overlaps(scene: Scene, points: np.ndarray, shape: int, moved: set[int] | None) -> Overlaps:
-    """Return where a shape's triangles lie on those of others; ``moved``: where either has moved."""
+def _overlaps(scene: Scene, points: np.ndarray, shape: int, met: np.ndarray, moved: set[int] | None) -> Overlaps:
+    """Return where a shape's triangles lie on those of ``met`` ones; ``moved``: where either has moved."""
     indices, of_face = scene.builder.indices, scene.builder.face_shape
     record = scene.builder.shapes[shape]
     own = np.arange(record.first_face, record.first_face + record.face_count)
-    others = of_face != shape
+    others = met[of_face] & (of_face != shape)
     if moved is not None and shape not in moved:
         others &= np.isin(of_face, sorted(moved))
     # Shapes whose boxes do not meet need no look at their triangles.
@@ -107,6 +126,7 @@ def _overlaps(scene: Scene, points: np.ndarray, shape: int, moved: set[int] | No
     reach = COINCIDENT * max(scene.ray_epsilon, float(LEAVE * np.abs(points).max(initial=0.0)))
     near = (low <= high[shape] + reach).all(axis=1) & (high >= low[shape] - reach).all(axis=1)
     numbers = np.flatnonzero(others & near[of_face])
+    own, numbers = _within(points, indices, own, numbers, reach)
     a, b = points[indices[own]], points[indices[numbers]]
     steps_a, steps_b = _ray_offsets(scene, a), _ray_offsets(scene, b)
     pairs = np.concatenate([np.zeros((0, 2), np.int64), *_meeting(a, b, steps_a, steps_b)])
@@ -117,6 +137,19 @@ def _overlaps(scene: Scene, points: np.ndarray, shape: int, moved: set[int] | No
     covers = _cover(a[i], b[j], COINCIDENT * steps)
     i, j, steps = i[covers], j[covers], steps[covers]
     return Overlaps(own[i], numbers[j], record.orientation * _normals(a[i]), steps)
+
+
+def _within(
+    points: np.ndarray, indices: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return those of two sets of triangles that come within reach of the box around the other set."""
+    for _both in range(2):
+        if len(a) and len(b):
+            around, corners = points[indices[a]].reshape(-1, 3), points[indices[b]]
+            low, high = around.min(axis=0) - reach, around.max(axis=0) + reach
+            b = b[((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1)]
+        a, b = b, a
+    return a, b
 
 
 def _meeting(a: np.ndarray, b: np.ndarray, steps_a: np.ndarray, steps_b: np.ndarray) -> Iterator[np.ndarray]:
