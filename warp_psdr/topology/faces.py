@@ -9,8 +9,10 @@ import warp as wp
 
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
+from warp_psdr.kernels.constants import READ_TEXCOORDS
 from warp_psdr.kernels.texture.steps import StepTextures
 from warp_psdr.scene.materials.bsdfs import model_of
+from warp_psdr.scene.shapes.shading import ROUNDED, vertex_normals
 from warp_psdr.topology.absent import absent_faces, absent_shapes
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency, without
 from warp_psdr.topology.film_edges import smooth_edges
@@ -76,7 +78,7 @@ def lenses(scene: Scene, edges: Adjacency, smooth: np.ndarray) -> list[np.ndarra
     it sends is continuous across its edges.
     """
     b, found = scene.builder, []
-    beside = b.face_shape[edges.faces[~np.repeat(smooth, edges.count)]]
+    beside = b.face_shape[edges.faces[~np.repeat(smooth | seams(scene, edges), edges.count)]]
     rough = np.bincount(beside, minlength=len(b.shapes))
     for i, (shape, record) in enumerate(zip(scene.description.shapes, b.shapes, strict=True)):
         models = [model_of(side) for side in shape.bsdf.sides]
@@ -91,6 +93,22 @@ def lenses(scene: Scene, edges: Adjacency, smooth: np.ndarray) -> list[np.ndarra
         if not all(has_in_front(points, triangles - own[0], turned, False) for turned in (1.0, -1.0)):
             found.append(faces)
     return found
+
+
+def seams(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges along which only texture coordinates jump, which no texture of the shape reads.
+
+    Tessellated spheres have one, whose vertices are there twice, with equal normals.
+    """
+    b, normals = scene.builder, np.zeros(scene.points.shape)
+    for s, own in vertex_normals(scene):
+        normals[s.first_vertex : s.first_vertex + s.vertex_count] = own
+    reads = [bool(READ_TEXCOORDS & {t.kind for t in b.textures_of(s)}) for s in b.shapes]
+    plain = np.array([s.smooth == 1 for s in b.shapes]) & ~np.array(reads)
+    first, last = edges.first[:-1], edges.first[1:] - 1
+    one, other = (b.face_shape[edges.faces[i]] for i in (first, last))
+    equal = (np.abs(normals[edges.ends] - normals[edges.twins]) <= ROUNDED).all(axis=(1, 2))
+    return (edges.count == 2) & (one == other) & plain[one] & equal
 
 
 def mirror_boxes(scene: Scene) -> np.ndarray:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 #: Height over the largest coordinate up to which a vertex lies in the plane of a triangle: some roundings.
 IN_PLANE = 2.0e-6
 #: Triangles that are compared with all vertices at a time.
-CHUNK = 256
+CHUNK = 64
 
 
 def sees_others(scene: Scene, shape: int, both: bool) -> bool:
@@ -67,7 +67,9 @@ def has_in_front(points: np.ndarray, triangles: np.ndarray, turned: float | np.n
     offset = (normal * corner).sum(axis=1)
     for first in range(0, len(normal), CHUNK):
         rows = slice(first, first + CHUNK)
-        height = normal[rows] @ points.T - offset[rows, None]
-        if (height > least).any() or (both and (height < -least).any()):
+        along = normal[rows] @ points.T
+        if (along.max(axis=1, initial=-np.inf) > offset[rows] + least).any():
+            return True
+        if both and (along.min(axis=1, initial=np.inf) < offset[rows] - least).any():
             return True
     return False
