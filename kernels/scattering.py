@@ -11,7 +11,15 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_smooth_lobes
 from warp_psdr.kernels.bvh.wide import RayHit
-from warp_psdr.kernels.constants import EMITTER_AREA, FAR, LOBE_NONE, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import (
+    EMITTER_AREA,
+    FAR,
+    LOBE_DELTA_REFLECTION,
+    LOBE_DELTA_TRANSMISSION,
+    LOBE_NONE,
+    LOBE_NULL,
+    LOBE_SMOOTH,
+)
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.emitter.area import make_area, make_pdf_area, pdf_area
 from warp_psdr.kernels.emitter.dispatch import make_lights
@@ -29,6 +37,10 @@ SLOTS_PER_VERTEX = 2
 #: differential passes only, where a path of zero throughput still carries derivatives.
 ROULETTE_MAX = 0.95
 ROULETTE_MIN = 0.05
+#: Least probability of the lobe that glass transmits, in differential passes. Transmittance T vanishes at grazing and at
+#: critical angles faster than its derivative, and a sample of the lobe that is drawn with the probability T is T' / T.
+#: (``docs/theory/specular.md#the-lobe-of-glass``)
+LEAST_TRANSMITTED = 0.25
 
 
 @wp.struct
@@ -346,10 +358,25 @@ def make_scatter(config: PathConfig, differential: bool):
     interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     onward = make_onward(config, differential)
+    bsdf = interaction.bsdf
+    glass = differential and bsdf.relative_eta is not None and bsdf.scatter is not None
 
     @wp.func
     def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> ScatterSample:
         bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
+        if wp.static(glass):
+            # ---- Glass, with its two delta lobes alone ----
+            two = bs.lobe > LOBE_SMOOTH and bsdf.transmits(at.model) and bsdf.mirrors(at.model)
+            if two and not bsdf.has_smooth(at.model) and not bsdf.has_null(at.model):
+                passed = bsdf.probability(at.model, at.material, at.wi, LOBE_DELTA_TRANSMISSION)
+                if passed > 0.0 and passed < LEAST_TRANSMITTED:
+                    reflects = r4[0] < 1.0 - LEAST_TRANSMITTED
+                    bs.lobe = wp.where(reflects, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION)
+                    bs.pdf = wp.where(reflects, 1.0 - LEAST_TRANSMITTED, LEAST_TRANSMITTED)
+                    bs.eta = wp.where(reflects, 1.0, bsdf.relative_eta(at.model, at.material, at.wi))
+                    scattered = interaction.scatter(at, bs.lobe)
+                    bs.wo = scattered.wo
+                    bs.value = scattered.value
         return onward(at, bs, state, face, r4[1], rr_depth)
 
     return scatter

@@ -150,3 +150,12 @@ def test_a_smooth_convex_lens_is_one_surface(name: str, one: bool) -> None:
     group = tables.group.numpy()[: scene.face_count][scene.builder.face_shape == shape]
     assert (len(set(group)) == 1) == one
     assert len(set(tables.group.numpy())) > len(set(group))
+
+
+@pytest.mark.parametrize(("reflectance", "one"), [(0.9, True), ({"type": "checkerboard"}, False)])
+def test_a_seam_of_texture_coordinates_parts_a_lens_if_they_are_read(reflectance, one: bool) -> None:
+    sphere = {"type": "sphere", "bsdf": {"type": "conductor", "material": "none", "specular_reflectance": reflectance}}
+    scene = psdr.load_dict({"type": "scene", "sensor": camera((0, -4, 0), (0, 0, 0)), "sky": sky(), "ball": sphere})
+    assert scene.face_count > 1000  # tessellated
+    _edges, tables = face_tables(scene)
+    assert (len(set(tables.group.numpy()[: scene.face_count])) == 1) == one
