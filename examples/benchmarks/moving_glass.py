@@ -35,6 +35,7 @@ BALLS = {
 }
 #: Samples of a batch: of a pass, and of the images of a difference.
 SPP, DIFFERENCE_SPP = 16, 32
+BATCHES = 32
 
 
 def diffuse(*color: float) -> dict:
@@ -162,34 +163,40 @@ class Study:
         return {part.name: self._timed(lambda seed, part=part: part.run(SPP, seed)) for part in q.parts}
 
 
+def variance(found: dict[str, tuple[float, np.ndarray]]) -> dict[str, float]:
+    """Return term -> variance of a batch, the mean over what it holds."""
+    return {term: float(batches.var(axis=0, ddof=1).mean()) for term, (_, batches) in found.items()}
+
+
 def measured(ball: str, study: Study) -> tuple[list[dict], list[dict]]:
     """Return the rows of both tables."""
     image, passed = study.image_seconds(SPP), study.pass_seconds()
     difference = 2.0 * study.image_seconds(DIFFERENCE_SPP)
     of_mean, differences = study.terms_of_mean(), study.differences()
-    rows, terms = [], []
-    total = sum(seconds for seconds, _ in of_mean.values())
+    seconds = {term: t for term, (t, _) in of_mean.items()}
+    rows, shares = [], {term: ([], []) for term in of_mean}
     for i, (what, (name, theirs)) in enumerate(zip(MOTIONS, differences.items(), strict=True)):
         of_images = study.terms_of_images(name)
-        images = sum(slopes.var(axis=0, ddof=1).mean() for _, slopes in of_images.values())
-        mean = sum(slopes[:, i].var(ddof=1) for _, slopes in of_mean.values())
-        forward = sum(seconds for seconds, _ in of_images.values())
+        slopes = {term: (t, found[:, i]) for term, (t, found) in of_mean.items()}
+        mean, images = variance(slopes), variance(of_images)
+        ours = sum(found for _, found in slopes.values())
+        forward = sum(t for t, _ in of_images.values())
         means, pixels = theirs.mean(axis=(1, 2, 3)), theirs.var(axis=0, ddof=1).mean()
         rows.append({
             "ball": ball, "motion": what, "pass over image": passed / image, "forward over image": forward / image,
-            "derivative of the mean": sum(slopes[:, i].mean() for _, slopes in of_mean.values()),
-            "by differences": means.mean(), "error": (means.var(ddof=1) / len(means)) ** 0.5,
-            "gain, mean": means.var(ddof=1) * difference * len(MOTIONS) / (mean * passed),
-            "gain, derivative image": pixels * difference / (images * forward),
+            "derivative of the mean": ours.mean(), "its error": (sum(mean.values()) / len(ours)) ** 0.5,
+            "by differences": means.mean(), "their error": (means.var(ddof=1) / len(means)) ** 0.5,
+            "gain, mean": means.var(ddof=1) * difference * len(MOTIONS) / (sum(mean.values()) * passed),
+            "gain, derivative image": pixels * difference / (sum(images.values()) * forward),
         })  # fmt: skip
-        for term, (seconds, slopes) in of_mean.items():
-            of_image = of_images[term][1].var(axis=0, ddof=1).mean() / images if term in of_images else 0.0
-            terms.append({
-                "ball": ball, "motion": what, "term": term, "share of the time": seconds / total,
-                "share of the mean's variance": slopes[:, i].var(ddof=1) / mean,
-                "share of the images' variance": of_image,
-                "median over mean": float(np.median(slopes[:, i]) / slopes[:, i].mean()) if slopes.any() else None,
-            })  # fmt: skip
+        for term, (of_means, of_pixels) in shares.items():
+            of_means.append(mean[term] / sum(mean.values()))
+            of_pixels.append(images.get(term, 0.0) / sum(images.values()))
+    terms = [{
+        "ball": ball, "term": term, "share of the time": seconds[term] / sum(seconds.values()),
+        "share of the mean's variance": float(np.mean(of_means)),
+        "share of the images' variance": float(np.mean(of_pixels)),
+    } for term, (of_means, of_pixels) in shares.items()]  # fmt: skip
     return rows, terms
 
 
@@ -198,11 +205,15 @@ def main() -> None:
     options = arguments(__doc__).parse_args()
     psdr.set_workers(1)
     report = Report("moving_glass", options.output)
+    found = []
     for ball, bsdf in BALLS.items():
-        rows, terms = measured(ball, Study(bsdf, 16 if options.quick else 64))
-        title = f"A room with a ball, {SIZE} × {SIZE} pixels, depth {DEPTH}, five motions"
-        report.table(f"{title}: noise² × time of differences over that of gradients", rows)
-        report.table(f"{title}: terms", terms)
+        rows, terms = measured(ball, Study(bsdf, 16 if options.quick else BATCHES))
+        found.append((rows, terms))
+    title = f"A room with a ball, {SIZE} × {SIZE} pixels, depth {DEPTH}, five motions"
+    report.table(
+        f"{title}: noise² × time of differences over that of gradients", [r for rows, _ in found for r in rows]
+    )
+    report.table(f"{title}: terms, means over the motions", [r for _, terms in found for r in terms])
 
 
 if __name__ == "__main__":
