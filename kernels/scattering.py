@@ -37,8 +37,8 @@ SLOTS_PER_VERTEX = 2
 #: differential passes only, where a path of zero throughput still carries derivatives.
 ROULETTE_MAX = 0.95
 ROULETTE_MIN = 0.05
-#: Least probability of the lobe that glass transmits, in differential passes. Transmittance T vanishes at grazing and at
-#: critical angles faster than its derivative, and a sample of the lobe that is drawn with the probability T is T' / T.
+#: Least probability of the lobe that glass transmits, in differential passes. Its transmittance T vanishes at grazing
+#: and critical angles faster than its derivative: drawn with the probability T, a sample is T' / T, without a bound.
 #: (``docs/theory/specular.md#the-lobe-of-glass``)
 LEAST_TRANSMITTED = 0.25
 
