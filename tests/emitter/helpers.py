@@ -46,7 +46,17 @@ class Light:
     """
 
     def __init__(
-        self, kind, device="cpu", *, radiance, to_world=None, position=None, scale=None, angles=None, projected=None
+        self,
+        kind,
+        device="cpu",
+        *,
+        radiance,
+        to_world=None,
+        position=None,
+        scale=None,
+        angles=None,
+        projected=None,
+        compensated=False,
     ):
         radiance = np.asarray(radiance, np.float32)
         parts = {
@@ -96,7 +106,7 @@ class Light:
         scene.environment = 0
         marginal = conditional = np.zeros(1, np.float32)
         if radiance.ndim == 3:
-            marginal, conditional = map(with_guide, build_env_distribution(radiance))
+            marginal, conditional = map(with_guide, build_env_distribution(radiance, compensated))
         scene.env_marginal = wp.array(marginal, device=device)
         scene.env_conditional = wp.array(conditional, device=device)
         self.scene = scene
@@ -256,8 +266,8 @@ def half_black_map():
     return data
 
 
-def envmap(data, device="cpu", rotation=ROTATION, scale=1.5):
-    return Light(c.EMITTER_ENVMAP, device, radiance=data, to_world=pose(rotation), scale=[scale])
+def envmap(data, device="cpu", rotation=ROTATION, scale=1.5, **more):
+    return Light(c.EMITTER_ENVMAP, device, radiance=data, to_world=pose(rotation), scale=[scale], **more)
 
 
 def light_frame_directions(theta, phi):

@@ -23,7 +23,7 @@ from tests.emitter.helpers import (
 )
 from warp_psdr.kernels import constants as c
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.scene.lights.light_sampling import build_env_distribution
+from warp_psdr.scene.lights.light_sampling import UNIFORM_SPHERE, build_env_distribution
 
 SIGNIFICANCE = 1e-5
 
@@ -71,10 +71,12 @@ def bin_of(v, height, width, parts):
     return row * width * parts + (np.floor(phi * parts).astype(int) % (width * parts))
 
 
-@pytest.mark.parametrize("name", MAPS)
-def test_environment_samples_follow_their_density(name, device):
+@pytest.mark.parametrize(
+    ("name", "compensated"), [*((name, False) for name in MAPS), ("random", True), ("sun", True), ("half black", True)]
+)
+def test_environment_samples_follow_their_density(name, compensated, device):
     data = MAPS[name]()
-    light = envmap(data, device)
+    light = envmap(data, device, compensated=compensated)
     height, width = data.shape[:2]
     directions, area = cell_quadrature(height, width, parts=2, points=4)
     _, pdf = light.evaluate(directions.reshape(-1, 3) @ ROTATION.T)
@@ -151,6 +153,27 @@ def test_every_cell_of_a_large_map_with_a_sun_can_be_sampled():
     # The four cells around the sun; 0.95 less what the rest needs for one level each.
     share = np.diff(marginal)[39:41, None] * np.diff(conditional, axis=1)[39:41, 6:8]
     assert share.sum() == pytest.approx(0.95, abs=1e-3)
+
+
+def test_compensated_maps_lose_their_mean_where_enough_is_left():
+    """A sun keeps its share and dim sky loses all but the uniform one; a map without contrast is drawn as it is."""
+
+    def shares(data, compensated):
+        marginal, conditional = build_env_distribution(data, compensated)
+        return np.diff(marginal)[:, None] * np.diff(conditional, axis=1)
+
+    sky = np.ones((16, 32, 3), np.float32)
+    sky[5, 7] = 300.0
+    plain, compensated = shares(sky, False), shares(sky, True)
+    dim = np.ones_like(plain, bool)
+    dim[4:6, 6:8] = False
+    assert compensated[~dim].sum() == pytest.approx(0.95, abs=0.01)
+    assert compensated[dim].sum() == pytest.approx(UNIFORM_SPHERE, abs=0.01) and compensated.min() > 0.0
+    assert plain[dim].sum() > 2.0 * compensated[dim].sum()
+    overcast = np.random.default_rng(3).uniform(0.95, 1.05, (16, 32, 3))
+    flat, left = shares(overcast, False), shares(overcast, True)
+    assert np.abs(left / flat - 1.0).max() < 0.1
+    np.testing.assert_array_equal(shares(np.zeros((4, 8, 3)), True), shares(np.zeros((4, 8, 3)), False))
 
 
 @pytest.mark.parametrize(

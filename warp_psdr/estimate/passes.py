@@ -376,7 +376,7 @@ def launch_pass(
     ``share``: which of the shards are run. ``chunks``: as of ``launch_shards``. ``first_film_rows``: of a shard's film,
     where it holds a band of rows.
     """
-    data = scene.data()
+    data = scene.data(compensated=kind != "light")
     for name, values in (fields or {}).items():
         setattr(data, name, values)
     order = listed

@@ -191,8 +191,8 @@ def trace_sample(
         kernel,
         dim=1,
         inputs=[
-            scene.data(), camera, x, y, (y + margin) * width + x + margin, sample, mix_seed(seed, stream),
-            plan.max_depth, plan.rr_depth,
+            scene.data(compensated=True), camera, x, y, (y + margin) * width + x + margin, sample,
+            mix_seed(seed, stream), plan.max_depth, plan.rr_depth,
         ],
         outputs=[vertices, count],
         device=scene.device,

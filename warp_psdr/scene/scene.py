@@ -242,8 +242,12 @@ class Scene:
             indices = wp.array(shown.reshape(-1), dtype=wp.int32, device=self.device)
             self._sight = self._accelerator(indices, *self._rays)
 
-    def data(self) -> structs.Scene:
+    def data(self, *, compensated: bool = False) -> structs.Scene:
         """Return the kernel argument.
+
+        Args:
+            compensated: for paths from the camera, whose scattered rays find the light of the environment as well
+                as what is drawn of it (``build_env_distribution``).
 
         Raises:
             ValueError: the last update failed, and the scene has not followed its parameters since.
@@ -270,8 +274,7 @@ class Scene:
         s.face_cdf = self.lights.face_cdf
         s.media = self._media
         s.environment = self.builder.environment
-        s.env_marginal = self.lights.env_marginal
-        s.env_conditional = self.lights.env_conditional
+        s.env_marginal, s.env_conditional = self.lights.cells(compensated)
         s.ray_epsilon = self.ray_epsilon
         s.least_step = self.steps.scene
         s.contact_ratio = self.contact_ratio

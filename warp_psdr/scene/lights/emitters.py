@@ -114,7 +114,7 @@ def _envmap(props: Properties) -> EmitterDescription:
     if texels.shape[0] < 2 or texels.shape[1] < 2:
         size = f"{texels.shape[1]}x{texels.shape[0]}"
         raise error(props.where, f"the environment map has {size} texels", "give at least 2x2, or use 'constant'")
-    props.ignore("mis_compensation", reason="the radiance is sampled as it is")
+    props.ignore("mis_compensation", reason="it is done wherever the map has contrast")
     return EmitterDescription(
         props.path,
         "envmap",

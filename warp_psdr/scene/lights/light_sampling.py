@@ -10,9 +10,12 @@ from __future__ import annotations
 import numpy as np
 
 from warp_psdr.kernels.distribution import LEVELS
+from warp_psdr.scene.materials.spectra import LUMINANCE
 
 #: Share of all samples that is uniform over the sphere: black regions have derivatives, and light behind corners.
 UNIFORM_SPHERE = 0.05
+#: What is taken off a map where scattering finds light, too, over its mean: the first that leaves LEAST of its light.
+COMPENSATIONS, LEAST = (1.0, 0.75, 0.5, 0.25), 1.0 / 3.0
 
 
 def cumulative(weights: np.ndarray) -> np.ndarray:
@@ -91,16 +94,18 @@ def _lifted(p: np.ndarray) -> np.ndarray:
         scale = lower
 
 
-def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def build_env_distribution(data: np.ndarray, compensated: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Return the cumulative arrays from which an environment map is sampled.
 
     Args:
         data: texels, shape ``(H, W, C)``, H >= 2. Negative values count as black.
+        compensated: for light that scattered rays look for as well. These find what is dim, so the map's
+            mean is taken off [KSV*19]. Of maps without contrast little would be left: from them, less is taken.
 
     Returns:
         ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape
-        ``(H - 1, W + 1)``; float32. The weight of a cell is the mean of its corners and channels times its solid angle,
-        plus `UNIFORM_SPHERE`.
+        ``(H - 1, W + 1)``; float32. The weight of a cell is the mean luminance of its corners (of one or two channels:
+        their mean) times its solid angle, plus `UNIFORM_SPHERE`.
 
     Raises:
         ValueError: wrong shape, or a texel is NaN or infinite.
@@ -111,7 +116,8 @@ def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if not np.all(np.isfinite(data)):
         raise ValueError("got an environment map with NaN or infinite texels; replace them before rendering")
     height, width = data.shape[:2]
-    brightness = np.maximum(data.mean(axis=2, dtype=np.float64), 0.0)
+    grey = data.astype(np.float64) @ LUMINANCE if data.shape[2] == 3 else data.mean(axis=2, dtype=np.float64)
+    brightness = np.maximum(grey, 0.0)
     pairs = brightness + np.roll(brightness, -1, axis=1)
     corners = pairs[:-1] + pairs[1:]
     theta = np.linspace(0.0, np.pi, height)
@@ -120,6 +126,13 @@ def build_env_distribution(data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     uniform = np.broadcast_to(solid_angle[:, None] / (2.0 * width), corners.shape)
     weights = corners * solid_angle[:, None]
     total = weights.sum()
+    if compensated:
+        mean = total / (width * solid_angle.sum()) * solid_angle[:, None]
+        for part in COMPENSATIONS:
+            left = np.maximum(weights - part * mean, 0.0)
+            if left.sum() >= LEAST * total:
+                weights, total = left, left.sum()
+                break
     if total > 0.0:
         weights = (1.0 - UNIFORM_SPHERE) * weights / total + UNIFORM_SPHERE * uniform
     else:

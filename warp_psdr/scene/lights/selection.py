@@ -28,8 +28,6 @@ class Lights:
         emitter_cdf: cumulative selection probabilities.
         face_cdf: cumulative triangle areas of every area light, and of every irradiance meter's shape, one behind the
             other.
-        env_marginal: see ``build_env_distribution``.
-        env_conditional: see ``build_env_distribution``, flat.
     """
 
     def __init__(self, builder: Builder, device: wp.Device):
@@ -37,7 +35,8 @@ class Lights:
         self._device = device
         self._areas = np.zeros(len(builder.emitters))
         self._area_cdfs: dict[int, np.ndarray] = {}
-        self.env_marginal = self.env_conditional = self._array(np.zeros(1))
+        self._texels = np.zeros((0, 0, 0), np.float32)
+        self._cells: dict[bool, tuple[wp.array, wp.array]] = {}
 
     @property
     def environment(self) -> structs.Emitter | None:
@@ -97,11 +96,21 @@ class Lights:
             return
         t = self._builder.textures[e.texture]
         texels = values[t.offset : t.offset + t.height * t.width * t.channels]
-        marginal, conditional = build_env_distribution(texels.reshape(t.height, t.width, t.channels))
-        self.env_marginal, self.env_conditional = (
-            self._array(with_guide(marginal)),
-            self._array(with_guide(conditional)),
-        )
+        self._texels = texels.reshape(t.height, t.width, t.channels).copy()
+        self._cells = {True: self._built(True)}
+
+    def cells(self, compensated: bool) -> tuple[wp.array, wp.array]:
+        """Return the arrays of ``build_env_distribution``, flat, with guides; an entry each where there is no map."""
+        found = self._cells.get(compensated)
+        if found is None:
+            found = self._cells[compensated] = self._built(compensated)
+        return found
+
+    def _built(self, compensated: bool) -> tuple[wp.array, wp.array]:
+        if not self._texels.size:
+            return self._array(np.zeros(1)), self._array(np.zeros(1))
+        marginal, conditional = build_env_distribution(self._texels, compensated)
+        return self._array(with_guide(marginal)), self._array(with_guide(conditional))
 
     def update_selection(self, values: np.ndarray, radius: float) -> None:
         """Select lights by their power, now that radiances, areas or the size of the scene have changed.
