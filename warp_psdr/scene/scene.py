@@ -246,8 +246,7 @@ class Scene:
         """Return the kernel argument.
 
         Args:
-            compensated: for paths from the camera, whose scattered rays find the light of the environment as well
-                as what is drawn of it (``build_env_distribution``).
+            compensated: for paths from the camera, whose scattered rays find the environment too.
 
         Raises:
             ValueError: the last update failed, and the scene has not followed its parameters since.
@@ -409,8 +408,7 @@ class Scene:
     def _part_interfaces(self, moved: set[int] | None) -> set[int]:
         """Move glass, and what is not there, off what it lies on, and return the shapes that were moved.
 
-        Args:
-            moved: Shapes that have moved since the last call; None: the scene is new.
+        ``moved``: shapes that have moved since the last call; None: the scene is new.
         """
         parted = interfaces.part(self, self._passed, moved) if self._passed else {}
         if parted:
