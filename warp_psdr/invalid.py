@@ -51,6 +51,7 @@ KINDS = (
     "grid_horizon",
     "grid_light_horizon",
     "media_secondary",
+    "media_silhouette",
     "primary_tubes",
     "secondary_tubes",
     "foreground_tubes",

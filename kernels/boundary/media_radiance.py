@@ -72,7 +72,7 @@ def make_media_radiance(config: PathConfig):
 @functools.cache
 def make_end_radiance(lights: LightConfig):
     """Return ``end_radiance(scene, face, u, v, w) -> vec3``: what a surface, -1: the environment, emits against w."""
-    emitted = make_area(lights.area).emitted if lights.area else None
+    emitted = make_area(lights.area, lights.shining).emitted if lights.area else None
     others = make_lights(lights.others, None, ()) if lights.others else None
     environment_eval = others.environment_eval if others else None
 

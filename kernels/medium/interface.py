@@ -14,8 +14,9 @@ from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_geometric_normal
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -47,12 +48,13 @@ def make_interface(config: PathConfig):
 
 
 @functools.cache
-def make_interface_sink(role: str):
+def make_interface_sink(role: str, primitives: tuple[int, ...]):
     """Return ``accumulate_crossing(scene, target, face, u, v, d, t, w) -> RayAdjoint``.
 
-    ``w`` is the adjoint of the distance t at which a ray along the unit vector d crosses a triangle.
+    ``w`` is the adjoint of the distance t at which a ray along the unit vector d crosses a triangle, or an exact shape.
     """
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, False, primitives)
+    normal_at = make_geometric_normal(primitives)
 
     @wp.func
     def accumulate_crossing(
@@ -67,7 +69,7 @@ def make_interface_sink(role: str):
     ) -> RayAdjoint:
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         r = RayAdjoint()
-        n = scene.triangles[face].normal
+        n = normal_at(scene, scene.triangles[face], u, v)
         cosine = wp.dot(n, d)
         if wp.abs(cosine) > EDGE_ON:
             adjoint = VertexAdjoint()

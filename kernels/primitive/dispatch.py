@@ -241,6 +241,21 @@ def make_point_at(primitives: tuple[int, ...]):
 
 
 @functools.cache
+def make_geometric_normal(primitives: tuple[int, ...]):
+    """Return ``geometric_normal(scene, tri, u, v) -> vec3``: the unit normal, turned by flip_normals."""
+    surface_of = make_surface_at(False, True, False, False, primitives) if primitives else None
+
+    @wp.func
+    def geometric_normal(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
+        if wp.static(surface_of is not None):
+            if is_primitive(tri):
+                return surface_of(scene, tri, u, v).ng
+        return tri.normal
+
+    return geometric_normal
+
+
+@functools.cache
 def make_normal_at(primitives: tuple[int, ...]) -> wp.Function | None:
     """Return ``normal(scene, tri, x) -> vec3`` of shapes without triangles, of any length; None: there are none.
 

@@ -115,7 +115,7 @@ class PathSpace(Connecting):
             many as the interior term's.
     """
 
-    knows: ClassVar[frozenset[str]] = _FROM_EDGES | SOLIDS | words("transient", "material_first")
+    knows: ClassVar[frozenset[str]] = _FROM_EDGES | SOLIDS | words("solids_in_media", "transient", "material_first")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +175,7 @@ class Projective(Connecting):
         spp_mirrors: as of ``PathSpace``.
     """
 
-    knows: ClassVar[frozenset[str]] = _FROM_EDGES | words("material_points")
+    knows: ClassVar[frozenset[str]] = _FROM_EDGES | words("material_points", "solids_in_media")
 
     guiding: guiding_methods.Method | None = field(default_factory=guiding_methods.Octree)
     paths: int = 1 << 16

@@ -94,7 +94,7 @@ NEVER = {
 }
 #: Word -> words beside which nothing that moves is followed, whatever the method.
 APART = {
-    "media": words("radiancemeter", "irradiancemeter", "hidden_lights", "material_points", "slides"),
+    "media": words("radiancemeter", "irradiancemeter", "hidden_lights", "slides"),
     "rough_glass": words("transient", "material_points", "slides"),
     "transient": words("mirrors", "material_points", "slides"),
     "radiancemeter": words("vertex_normals"),

@@ -15,7 +15,7 @@ from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.topology.absent import absent_faces
+from warp_psdr.topology.absent import absent_faces, absent_shapes
 from warp_psdr.topology.edges_there import edges_there, pierced
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
@@ -98,8 +98,9 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
     """Say what of a scene with media has no derivative by what moves; empty: all has."""
     if config.media is None or wanted is None or not moves_in_media(wanted):
         return ""
-    for solid in primitives.words_of(scene).values():
-        return f"what moves beside media is not followed where there is {solid.what}; {solid.instead}"
+    solid = _unfollowed_solid(scene, config)
+    if solid:
+        return solid
     flakes = _microflakes(scene)
     if flakes:
         return f"what moves is not followed through {flakes}"
@@ -111,6 +112,31 @@ def beside_motion(scene: Scene, config: PathConfig, wanted: GradientRequest | No
     for shape in scene.description.shapes:
         if shape.emitter is not None and any(model_of(side) is NULL for side in shape.bsdf.sides):
             return f"the light {shape.path!r} has a surface that is not there; give it another bsdf than 'null'"
+    return ""
+
+
+def _unfollowed_solid(scene: Scene, config: PathConfig) -> str:
+    """Say beside which shape without triangles nothing that moves is followed in media, and what to do; empty: none."""
+    words = primitives.words_of(scene)
+    if "slides" in words:
+        solid = words["slides"]
+        return f"what moves beside media is not followed where there is {solid.what}; {solid.instead}"
+    if "material_points" not in words:
+        return ""
+    absent = absent_shapes(scene)
+    for i in scene.builder.primitives:
+        geometry, path = scene.geometry(i), scene.description.shapes[i].path
+        if absent[i]:
+            return (
+                f"what moves beside media is not followed through {path!r}, {geometry.title} that bounds one; "
+                f"{geometry.instead}"
+            )
+    solid = words["material_points"]
+    if has_chain_lobes(config.surfaces.bsdfs, True):
+        return (
+            f"what moves beside media is not followed in mirrors, glass and masks where there is {solid.what}; make "
+            f"them rough, or {solid.instead}"
+        )
     return ""
 
 

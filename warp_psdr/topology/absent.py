@@ -21,3 +21,9 @@ def absent_shapes(scene: Scene) -> np.ndarray:
 def absent_faces(scene: Scene) -> np.ndarray:
     """Return a mask of their triangles."""
     return absent_shapes(scene)[scene.builder.face_shape]
+
+
+def there(scene: Scene, shapes: list[int]) -> list[int]:
+    """Return those of some shapes that are surfaces which are there; without media, all of them."""
+    absent = absent_shapes(scene) if scene.builder.media else np.zeros(len(scene.description.shapes), bool)
+    return [i for i in shapes if not absent[i]]

@@ -9,6 +9,8 @@ import warp as wp
 
 from warp_psdr import columns
 from warp_psdr.topology.edges import joined_faces, normal_columns, scene_adjacency
+from warp_psdr.topology.kinds.exact_shapes import exact_shapes, pose
+from warp_psdr.topology.unchanged import kept as kept_for
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -18,12 +20,19 @@ if TYPE_CHECKING:
 CREASE = 0.8
 #: Radius of curvature over area / (length of the edge * angle) of the triangles or quadrilaterals of spheres.
 BEND = 1.2
+#: The same of exact shapes over half their least width: the least that triangles of spheres have.
+BALL = 1.5
 #: Radius of a patch over its width: half the diagonal of a cube of side 2.
 RADIUS = np.sqrt(3.0)
 
 
 def patch_radii(scene: Scene) -> wp.array:
-    """Return the radius at every triangle, (F,) world units (a 0 if there is none), kept until a vertex moves."""
+    """Return the radius at every triangle, (F,) world units (a 0 if there is none), kept until a vertex moves.
+
+    In media those of shapes without triangles follow.
+    """
+    if scene.builder.media and scene.builder.primitives:
+        return kept_for(scene, "patch radii", lambda: _with_exact_shapes(scene))
     edges = scene_adjacency(scene)
     kept = getattr(scene, "_patch_radii", None)
     if kept is None or kept[0] is not edges:
@@ -33,6 +42,22 @@ def patch_radii(scene: Scene) -> wp.array:
         kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
         scene._patch_radii = kept  # type: ignore[attr-defined]
     return kept[1]
+
+
+def _with_exact_shapes(scene: Scene) -> wp.array:
+    """Return the radii of triangles, and of shapes without them; 0 of those that are not exact."""
+    found = radii(scene.points, scene.builder.indices, scene_adjacency(scene))
+    exact = set(exact_shapes(scene))
+    own = [_exact_radius(scene, i) if i in exact else 0.0 for i in scene.builder.primitives]
+    return wp.array(np.concatenate([found, own]), dtype=wp.float32, device=scene.device)
+
+
+def _exact_radius(scene: Scene, shape: int) -> float:
+    """Return the radius of an exact shape: by half its least width, which of a sphere is its own."""
+    linear, _center = pose(scene, shape)
+    box = scene.geometry(shape).corners(np.eye(4)).astype(np.float64)
+    half = 0.5 * (box.max(axis=0) - box.min(axis=0))
+    return BALL * float((half * np.linalg.norm(linear, axis=0))[half > 0.0].min())
 
 
 def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.ndarray:

@@ -17,7 +17,7 @@ from warp_psdr.kernels.boundary.local_form import Edges, edge_point
 from warp_psdr.kernels.boundary.media_radiance import make_media_incident
 from warp_psdr.kernels.boundary.path_space.intersection_curve import make_curve_draw
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
-from warp_psdr.kernels.boundary.path_space.media_walk import leaves_first
+from warp_psdr.kernels.boundary.path_space.media_walk import make_leaves_first
 from warp_psdr.kernels.boundary.path_space.secondary import make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.invalid import count_invalid
@@ -66,6 +66,7 @@ def make_media_intersection_curve_kernel(config: PathConfig, role: str, camera_m
     )
     sample_4d = make_sampler(config.sampler).sample_4d
     eye_of = make_eye(config.camera)
+    leaves_first = make_leaves_first(config.surfaces.primitives)
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def media_intersection_curve(

@@ -21,7 +21,7 @@ from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink, make_positio
 from warp_psdr.kernels.reading import texture_record
 from warp_psdr.kernels.sensor.camera import make_camera_sink
 from warp_psdr.kernels.structs import Camera, Scene
-from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, make_vertex_sink, normalize_vjp
+from warp_psdr.kernels.surface import RayAdjoint, VertexAdjoint, normalize_vjp
 from warp_psdr.kernels.vertex import MediaConfig, PathConfig
 from warp_psdr.kernels.visibility import visibility_of
 
@@ -79,8 +79,8 @@ def make_ride(config: PathConfig, role: str, grids_move: bool):
     ``after`` it, whose adjoint is returned.
     ``ride_sight(scene, target, walk, sight, g) -> RayAdjoint``: of the camera's ray, whose adjoint is returned.
     """
-    accumulate_crossing = make_interface_sink(role)
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
+    accumulate_vertex = make_adjoint_sink(role, False, False, False, False, False, False, config.surfaces.primitives)
     is_interface, behind = make_interface(config)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     position, _cross_of = make_position(config.surfaces.primitives)

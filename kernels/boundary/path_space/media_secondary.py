@@ -21,7 +21,7 @@ from warp_psdr.kernels.boundary.media_radiance import make_end_radiance, make_me
 from warp_psdr.kernels.boundary.path_space.direction import Direction, wedge_at
 from warp_psdr.kernels.boundary.path_space.edge_segment import edge_segment, moves
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
-from warp_psdr.kernels.boundary.path_space.media_walk import leaves_first
+from warp_psdr.kernels.boundary.path_space.media_walk import make_leaves_first
 from warp_psdr.kernels.boundary.path_space.secondary import SLOT_DIRECTION, SLOT_EDGE, make_segment_sink
 from warp_psdr.kernels.boundary.transport import Segment
 from warp_psdr.kernels.constants import FAR
@@ -32,6 +32,7 @@ from warp_psdr.kernels.medium.line import AHEAD, ClearLine, make_line
 from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.phase.sggx import make_extinction_along
+from warp_psdr.kernels.primitive.affine import is_primitive_at
 from warp_psdr.kernels.rng import Sampler, make_sampler, sampler_at
 from warp_psdr.kernels.sensor.camera import make_eye
 from warp_psdr.kernels.step import leaving_step
@@ -76,6 +77,12 @@ def make_media_segment(config: PathConfig, deep: bool):
     end_radiance = make_end_radiance(config.lights)
 
     @wp.func
+    def is_round(scene: Scene, face: wp.int32) -> wp.bool:
+        if wp.static(not config.lights.shining):
+            return False
+        return is_primitive_at(scene, face)
+
+    @wp.func
     def segment(
         scene: Scene,
         camera: Camera,
@@ -100,7 +107,7 @@ def make_media_segment(config: PathConfig, deep: bool):
         reach = wp.float32(FAR)
         if direction.light >= 0:
             reach = wp.min(direction.distance + behind, FAR)
-        elif direction.aimed == 1 and direction.distance < 0.5 * FAR:
+        elif direction.aimed == 1 and direction.distance < 0.5 * FAR and not is_round(scene, direction.face):
             plane = scene.triangles[direction.face].normal
             shift = wp.dot(plane, point.x - r.x) / wp.dot(plane, r.w)
             margin = (r.step + leaving_step(scene, direction.face)) / wp.abs(wp.dot(plane, r.w))
@@ -176,8 +183,9 @@ def make_media_secondary_kernel(
         deep=deep,
         ends=0 if emissive else 3,
     )
-    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose)
+    accumulate_segment = None if evaluates else make_segment_sink(role, light_pose, config.surfaces.primitives)
     eye_of = make_eye(config.camera)
+    leaves_first = make_leaves_first(config.surfaces.primitives)
     sample_aim, density, place = make_techniques(config.lights, guided)
     draw = make_sampler(config.sampler)
     sample_1d = draw.sample_1d

@@ -24,11 +24,11 @@ from warp_psdr.kernels.medium.volume import GRID
 from warp_psdr.kernels.path_media import GRAZING
 from warp_psdr.kernels.phase.dispatch import make_phase
 from warp_psdr.kernels.phase.sggx import make_extinction_along
-from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.dispatch import make_geometric_normal, make_leaving, make_position
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.scattering import ROULETTE_MAX
 from warp_psdr.kernels.sensor.projection import FilmPoint, make_projection
-from warp_psdr.kernels.step import leaving_step, step_beside
+from warp_psdr.kernels.step import step_beside
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 from warp_psdr.kernels.visibility import visibility_of
@@ -68,13 +68,35 @@ class Sight:
     line: ClearLine  # up to the vertex, from the near plane on
 
 
-@wp.func
-def leaves_first(scene: Scene, first: MediaWalk, w: wp.vec3, t1: wp.float32) -> wp.float32:
-    """How far from x_1 on, along w, paths from it start; ``t1``: the length of the segment up to the edge."""
-    if first.collides:
-        return 0.0
-    cosine = wp.abs(wp.dot(scene.triangles[first.face].normal, w))
-    return wp.min(leaving_step(scene, first.face) / wp.max(cosine, GRAZING), 0.5 * t1)
+@functools.cache
+def make_grazing_step(primitives: tuple[int, ...]):
+    """Return ``grazing_step(scene, face, u, v, w) -> float``: along w, how far off a surface rays start."""
+    step_off = make_leaving(primitives)
+    normal_at = make_geometric_normal(primitives)
+
+    @wp.func
+    def grazing_step(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, w: wp.vec3) -> wp.float32:
+        tri = scene.triangles[face]
+        return step_off(scene, tri) / wp.max(wp.abs(wp.dot(normal_at(scene, tri, u, v), w)), GRAZING)
+
+    return grazing_step
+
+
+@functools.cache
+def make_leaves_first(primitives: tuple[int, ...]):
+    """Return ``leaves_first(scene, first, w, t1) -> float``: how far from x_1 on, along w, paths from it start.
+
+    ``t1``: the length of the segment up to the edge.
+    """
+    grazing_step = make_grazing_step(primitives)
+
+    @wp.func
+    def leaves_first(scene: Scene, first: MediaWalk, w: wp.vec3, t1: wp.float32) -> wp.float32:
+        if first.collides:
+            return 0.0
+        return wp.min(grazing_step(scene, first.face, first.u, first.v, w), 0.5 * t1)
+
+    return leaves_first
 
 
 @functools.cache
@@ -100,6 +122,7 @@ def make_media_walk(config: PathConfig):
     sample_4d = make_sampler(config.sampler).sample_4d
     project = make_projection(config.camera)[0]
     position, _cross_of = make_position(config.surfaces.primitives)
+    grazing_step = make_grazing_step(config.surfaces.primitives)
     scatters = interaction.eval is not None
     turn = make_sensor_turn(config.surfaces, config.lights) if scatters else None
 
@@ -108,8 +131,7 @@ def make_media_walk(config: PathConfig):
         """Where collisions end: as far before a surface as rays start off it."""
         if hit.face < 0:
             return FAR
-        cosine = wp.max(wp.abs(wp.dot(scene.triangles[hit.face].normal, d)), GRAZING)
-        return wp.max(hit.t - leaving_step(scene, hit.face) / cosine, 0.0)
+        return wp.max(hit.t - grazing_step(scene, hit.face, hit.u, hit.v, d), 0.0)
 
     @wp.func
     def found(

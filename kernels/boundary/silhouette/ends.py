@@ -12,13 +12,16 @@ from warp_psdr.kernels.boundary.path_space.direction import make_pdf_light
 from warp_psdr.kernels.boundary.path_space.edge_segment import moves
 from warp_psdr.kernels.boundary.silhouette.aim import TangentAim
 from warp_psdr.kernels.boundary.transport import Segment
+from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.kernels.emitter.area import make_area
 from warp_psdr.kernels.emitter.dispatch import is_delta_light, make_delta_sample, make_lights
 from warp_psdr.kernels.invalid import vanishes
+from warp_psdr.kernels.medium.line import AHEAD, ClearLine, make_line
 from warp_psdr.kernels.primitive.curve_kinds import TUBES
 from warp_psdr.kernels.primitive.curves import is_spline
 from warp_psdr.kernels.primitive.dispatch import make_point_at
+from warp_psdr.kernels.rng import Sampler
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import PathConfig, RayConfig
 from warp_psdr.kernels.visibility import visibility_of
@@ -40,15 +43,19 @@ class SourceEnd:
     distant: wp.bool  # y is a direction
     towards: wp.float32  # density of the direction as of a point of a light, 0: no technique aims there, 1: ``delta``
     to_eye: wp.float32  # distance to what the segment was aimed at
+    passed: wp.vec3  # transmittance up to x_2; only in media
 
 
 @functools.cache
 def make_source_end(config: PathConfig):
-    """Return ``source_end(scene, moving, s, face, x, aim, aims, direct) -> SourceEnd``.
+    """Return ``source_end(scene, sampler, medium, moving, s, face, x, aim, aims, direct) -> SourceEnd``.
 
-    ``s`` holds w, step, x and source; ``face`` and ``x`` are those of the touched point, ``aims``: its item is aimed at
-    lights as well, ``direct`` as in ``path_space/secondary.py``.
+    ``s`` holds w, step, x and source; ``face`` and ``x`` are those of the touched point, ``medium``: that at the point,
+    which is read in media alone, ``aims``: its item is aimed at lights as well, ``direct`` as in
+    ``path_space/secondary.py``; in media: nothing but what x_2 emits counts.
     """
+    among_media = config.media is not None
+    line = make_line(config)[0] if among_media else None
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     pdf_light = make_pdf_light(config.lights, uniform=True)
     point_at = make_point_at(config.surfaces.primitives)
@@ -61,6 +68,8 @@ def make_source_end(config: PathConfig):
     @wp.func
     def source_end(
         scene: Scene,
+        sampler: Sampler,
+        medium: wp.int32,
         moving: wp.array(dtype=wp.int32),
         s: Segment,
         face: wp.int32,
@@ -76,6 +85,7 @@ def make_source_end(config: PathConfig):
         end.any_moves = moves(scene, moving, face)
         end.to_eye = wp.length(aim.eye - r.x)
         end.aimed = aim.light >= 0
+        ahead = ClearLine()
         if wp.static(delta_sample is not None):
             if aim.light >= 0:
                 emitter = scene.emitters[aim.light]
@@ -87,13 +97,29 @@ def make_source_end(config: PathConfig):
                     ls = delta_sample(scene, emitter, x, wp.vec2(0.0, 0.0))
                     if ls.pdf <= 0.0 or vanishes(ls.radiance):
                         return end
-                    if visibility.occluded(scene, r.source, r.w, wp.where(aim.distant, FAR, end.to_eye)):
-                        return end
+                    way = wp.where(aim.distant, FAR, end.to_eye)
+                    if wp.static(among_media):
+                        ahead = line(scene, sampler, AHEAD, r.source, r.w, way, medium, 1)
+                        if ahead.lost or ahead.face >= 0:
+                            return end
+                    else:
+                        if visibility.occluded(scene, r.source, r.w, way):
+                            return end
                     r.light = aim.light
                     r.known = 1
                     r.radiance = ls.radiance / emitter.probability
         if not end.delta:
-            hit2 = visibility.closest(scene, r.source, r.w, FAR)
+            hit2 = RayHit()
+            if wp.static(among_media):
+                ahead = line(scene, sampler, AHEAD, r.source, r.w, FAR, medium, 1)
+                if ahead.lost:
+                    return end
+                hit2.face = ahead.face
+                hit2.u = ahead.u
+                hit2.v = ahead.v
+                hit2.t = ahead.t
+            else:
+                hit2 = visibility.closest(scene, r.source, r.w, FAR)
             r.face2 = hit2.face
             r.u2 = hit2.u
             r.v2 = hit2.v
@@ -124,13 +150,14 @@ def make_source_end(config: PathConfig):
             else:
                 if wp.static(has_environment):
                     r.radiance = environment_eval(scene, r.w)
-            if (direct or r.face2 < 0) and vanishes(r.radiance):
+            if (direct or (wp.static(not among_media) and r.face2 < 0)) and vanishes(r.radiance):
                 return end
             if aims:
                 end.towards = pdf_light(scene, r.face2, r.u2, r.v2, r.w, r.t2)
                 if aim.light >= 0 and not end.towards > 0.0:
                     return end
         end.segment = r
+        end.passed = ahead.transmittance
         end.valid = 1
         return end
 

@@ -18,17 +18,12 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.boundary.depth import make_indirect
 from warp_psdr.kernels.boundary.forwards import make_sees
-from warp_psdr.kernels.boundary.guiding.cube import make_cube, make_ends
+from warp_psdr.kernels.boundary.guiding.cube import make_ends
 from warp_psdr.kernels.boundary.guiding.techniques import Guide
 from warp_psdr.kernels.boundary.path_space.secondary import make_source_sink
-from warp_psdr.kernels.boundary.silhouette.aim import (
-    SLOT_DIRECTION,
-    SLOT_SILHOUETTE,
-    TangentAim,
-    make_light_aim,
-    make_square_aim,
-)
+from warp_psdr.kernels.boundary.silhouette.aim import TangentAim
 from warp_psdr.kernels.boundary.silhouette.delivery import make_delivery
+from warp_psdr.kernels.boundary.silhouette.drawn_touch import make_drawn_touch
 from warp_psdr.kernels.boundary.silhouette.ends import make_beside_curve, make_sensor_end, make_source_end, with_density
 from warp_psdr.kernels.boundary.silhouette.table import touch_of
 from warp_psdr.kernels.boundary.silhouette.touch import DrawnItem
@@ -38,14 +33,14 @@ from warp_psdr.kernels.jobs import SampleJob
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
-from warp_psdr.kernels.rng import make_sampler, sampler_at
+from warp_psdr.kernels.rng import Sampler, sampler_at
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig
 
 
 @functools.cache
 def make_touching_segment(config: PathConfig, family: str):
-    """Return ``segment(scene, moving, found, drawn, point, aim, direct) -> Segment``.
+    """Return ``segment(scene, sampler, moving, found, drawn, point, aim, direct) -> Segment``.
 
     ``aim.light`` is -1 where its direction is its own; ``direct`` as in ``path_space/secondary.py``. The scale is one
     over the density of what was drawn, in the measures above.
@@ -61,6 +56,7 @@ def make_touching_segment(config: PathConfig, family: str):
     @wp.func
     def touching_segment(
         scene: Scene,
+        sampler: Sampler,
         moving: wp.array(dtype=wp.int32),
         found: items,
         drawn: DrawnItem,
@@ -77,7 +73,7 @@ def make_touching_segment(config: PathConfig, family: str):
         r.step = passing.beside
         r.x = point.x + r.step * passing.out
         r.source = r.x
-        end = source_end(scene, moving, r, point.face, point.x, aim, drawn.aims, direct)
+        end = source_end(scene, sampler, -1, moving, r, point.face, point.x, aim, drawn.aims, direct)
         if end.valid == 0:
             return r
         density = wp.float32(0.0)
@@ -112,15 +108,10 @@ def make_secondary_silhouette_kernel(
     There is a role more, "ends": ``target`` receives what the ends of segments are (``guiding/cube.py``).
     """
     touch = touch_of(family, config.surfaces.primitives, config.sampler)
-    items, point_type, choice_of, seen_from, own_at = touch.items, touch.point, touch.choice, touch.seen, touch.own
-    draw, draw_guided, weigh = touch.draw, touch.draw_guided, touch.weigh
+    items, point_type, weigh = touch.items, touch.point, touch.weigh
     outline_at, held_at = touch.outline, touch.held
     evaluates = role in ("target", "ends")
-    in_cube = guided or evaluates
-    lit = bool(config.lights.area or config.lights.others)
-    light_aim = make_light_aim(config.lights) if lit and not in_cube else None
-    square_aim = make_square_aim(config.lights) if lit and in_cube else None
-    cube = make_cube(evaluates) if in_cube else None
+    drawn_touch = make_drawn_touch(config, family, guided, evaluates)
     write_ends = make_ends(config.surfaces.primitives) if role == "ends" else None
     segment_at = make_touching_segment(config, family)
     accumulate_point = None if evaluates else touch.make_sink(role)
@@ -128,9 +119,6 @@ def make_secondary_silhouette_kernel(
     source = make_source(config, True)
     source = make_indirect(source) if indirect else source
     transport = make_transport(config, role, camera_moves, source) if role != "ends" else None
-    numbers = make_sampler(config.sampler)
-    sample_1d = numbers.sample_1d
-    sample_4d = numbers.sample_4d
     note_place = make_note(config.noted)
     deliver = make_delivery(role, point_type, transport, accumulate_point, accumulate_source, write_ends)
 
@@ -151,48 +139,10 @@ def make_secondary_silhouette_kernel(
         _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
         number = job.first + wp.tid()
         sampler = sampler_at(number, 0, job.seed)
-        u4 = sample_4d(sampler, SLOT_DIRECTION)
-        # Edges take the direction from these numbers, surfaces one or two coordinates of the place, and theta.
-        u3 = wp.vec3(u4[0], u4[1], u4[2])
-        drawn = DrawnItem()
-        own = wp.bool(True)
-        if wp.static(in_cube):
-            at = cube(guide, found.share, number, job.samples, u4)
-            own = at.own
-            u3 = wp.vec3(wp.float32(at.u[1]), wp.float32(at.u[2]), wp.float32(at.u[1]))
-            drawn = draw_guided(found, own, at.u[0], at.weight)
-        else:
-            u = (wp.float64(number) + wp.float64(sample_1d(sampler, SLOT_SILHOUETTE))) / wp.float64(job.samples)
-            own = u < wp.float64(found.share)
-            if own:
-                u = u / wp.float64(found.share)
-            else:
-                u = (u - wp.float64(found.share)) / wp.float64(1.0 - found.share)
-            drawn = draw(found, own, u)
-        choice = choice_of(sampler, False)
-        aim = TangentAim()
-        aim.light = -1
-        point = point_type()
-        if own:
-            own_point, w = own_at(scene, found, drawn, u3, choice)
-            point = own_point
-            aim.w = w
-        if wp.static(lit):
-            if not own:
-                center = scene.triangles[drawn.face].normal
-                if wp.static(in_cube):
-                    aim = square_aim(scene, center, at.u[1], at.u[2])
-                else:
-                    aim = light_aim(scene, center, u4)
-                if aim.valid == 0:
-                    return
-                point = seen_from(scene, found, drawn, aim.eye, aim.distant, choice)
-                aim.w = aim.eye
-                if not aim.distant:
-                    aim.w = wp.normalize(aim.eye - point.x)
+        drawn, point, aim = drawn_touch(scene, found, guide, sampler, number, job.samples)
         if point.valid == 0:
             return
-        s = segment_at(scene, moving, found, drawn, point, aim, job.max_depth == 2)
+        s = segment_at(scene, sampler, moving, found, drawn, point, aim, job.max_depth == 2)
         if s.valid == 0:
             return
         held = held_at(scene, point)

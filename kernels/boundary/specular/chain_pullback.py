@@ -68,7 +68,7 @@ def make_ride_visit(config: PathConfig, role: str, grids_move: bool):
     the material point of the first surface behind (``docs/theory/media.md#what-moves``).
     """
     along = make_along(config.media, role, grids_move)
-    accumulate_crossing = make_interface_sink(role)
+    accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
     accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
     is_interface, _behind = make_interface(config)
     position, _cross_of = make_position(config.surfaces.primitives)

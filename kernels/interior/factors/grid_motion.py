@@ -169,7 +169,7 @@ def make_grid_shadow_sink(config: PathConfig, role: str, pose: bool):
     """Return ``accumulate_shadow(scene, target, sampler, vertex, w)`` as ``make_shadow_sink`` does, through grids."""
     shadow_crossing = make_crossed_surface(config.rays, config.surfaces.primitives)
     is_interface, past = make_null_surface(config.surfaces, config.lights)
-    accumulate_crossing = make_interface_sink(role)
+    accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
     _point, accumulate_depth, accumulate_ends = make_grid_span(role, pose)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases

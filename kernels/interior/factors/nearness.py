@@ -9,7 +9,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes
 from warp_psdr.kernels.interaction import make_interaction
-from warp_psdr.kernels.primitive.dispatch import make_position
+from warp_psdr.kernels.primitive.dispatch import make_geometric_normal, make_position
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 
@@ -30,10 +30,11 @@ def weight_of_half(scene: Scene, vertex: PathVertex) -> wp.float32:
 def make_nearness(surfaces: SurfaceConfig, lights: LightConfig, geometry: bool = True):
     """Return ``nearness(scene, x, stretch, face, u, v) -> float32``.
 
-    It is the weight chi of the connection of a volume vertex x with a surface, by its distance from the plane;
+    It is the weight chi of the connection of a volume vertex x with a surface, by its distance from the tangent plane;
     ``stretch``: the length of its stretch.
     """
     position, _cross_of = make_position(surfaces.primitives)
+    normal_at = make_geometric_normal(surfaces.primitives)
     chains = has_chain_lobes(surfaces.bsdfs, True)
     has_delta = make_interaction(surfaces, lights).bsdf.has_delta
 
@@ -44,7 +45,7 @@ def make_nearness(surfaces: SurfaceConfig, lights: LightConfig, geometry: bool =
         if wp.static(not geometry):
             return 1.0
         tri = scene.triangles[face]
-        a = wp.abs(wp.dot(tri.normal, position(tri, u, v) - x))
+        a = wp.abs(wp.dot(normal_at(scene, tri, u, v), position(tri, u, v) - x))
         rho = scene.contact_ratio * wp.min(scene.radii[face], stretch)
         if wp.static(chains):
             if has_delta(scene.bsdfs[scene.shapes[tri.shape].bsdf].model):

@@ -16,9 +16,10 @@ from warp_psdr.kernels.medium.null_surface import make_null_surface
 from warp_psdr.kernels.medium.passage import MOST_INTERFACES, medium_towards
 from warp_psdr.kernels.path_media import MediaVertex
 from warp_psdr.kernels.phase.sggx import flake_area_slope, flakes_of, make_extinction_along
+from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene
-from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink
+from warp_psdr.kernels.surface import VertexAdjoint
 from warp_psdr.kernels.vertex import PathConfig
 
 
@@ -68,7 +69,7 @@ def make_shadow_sink(config: PathConfig, role: str):
     """
     shadow_crossing = make_crossed_surface(config.rays, config.surfaces.primitives)
     is_interface, past = make_null_surface(config.surfaces, config.lights)
-    accumulate_crossing = make_interface_sink(role)
+    accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
     assert config.media is not None
     flakes = PHASE_SGGX in config.media.phases
     thinning, turning = make_thinning(config.media.phases)
@@ -110,12 +111,14 @@ def make_shadow_sink(config: PathConfig, role: str):
 
 
 @functools.cache
-def make_light_end_sink(wanted: GradientRequest, role: str):
+def make_light_end_sink(config: PathConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
 
     ``w`` is the adjoint of the point of the vertex's light; False: the light has none.
     """
-    accumulate_vertex = make_vertex_sink(role, False, False, False, False, False, False)
+    accumulate_vertex = make_adjoint_sink(
+        role, False, False, False, False, False, False, config.surfaces.primitives if config.lights.shining else ()
+    )
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)
 

@@ -11,6 +11,7 @@ from warp_psdr.kernels.boundary.silhouette.exact_touch import OutlineItems
 from warp_psdr.kernels.boundary.silhouette.point import OutlineItem
 from warp_psdr.kernels.primitive.table import affine_of
 from warp_psdr.options.boundary import PathSpace, Projective
+from warp_psdr.topology.absent import there
 from warp_psdr.topology.kinds.exact_shapes import exact_shapes, require_uncut
 from warp_psdr.topology.kinds.family import EQUAL, Family, Streams
 from warp_psdr.topology.kinds.joined_rims import outlines
@@ -46,7 +47,8 @@ EXACT = Family(
     is_in=lambda primitives: bool(affine_of(primitives)),
     shapes=exact_shapes,
     seen=lambda scene, shapes, _sensor, _creases: _items(scene, shapes, 1.0),
-    touched=lambda scene, own_share, _creases: _items(scene, exact_shapes(scene), own_share),
+    touched=lambda scene, own_share, _creases: _items(scene, there(scene, exact_shapes(scene)), own_share),
     require_uncut=_require_uncut,
+    in_media=True,
     methods=(PathSpace, Projective),
 )

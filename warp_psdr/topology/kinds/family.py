@@ -57,6 +57,7 @@ class Family:
             and how long their intervals are at first; empty: items do not come and go.
         both: some items are creases.
         flows: its points may flow along normals, and then send no foreground.
+        in_media: what moves beside them is followed in media.
         methods: the boundary methods that know it.
     """
 
@@ -76,4 +77,5 @@ class Family:
     masses: Callable[[Scene, Any], dict[str, tuple[np.ndarray, np.ndarray]]] = lambda _scene, _items: {}
     both: bool = False
     flows: bool = False
+    in_media: bool = False
     methods: tuple[type[Method], ...] = (PathSpace,)

@@ -22,6 +22,15 @@ def applies(r: Request) -> bool:
     return media is not None and (r.lit or shines) and r.moves.edges
 
 
+def own_share(r: Request) -> float:
+    """Return the share of the segments that are not aimed at lights."""
+    if not r.scene.builder.emitters:
+        return 1.0
+    media = r.config.media
+    spread = r.scene.builder.environment >= 0 or (media is not None and media.emissive)  # light comes from everywhere
+    return OWN_SHARE if spread else OWN_SHARE_DIRECT
+
+
 def launch(r: Request) -> Term | None:
     """Return the term of the edges of what is there."""
     edges = secondary_edges_there(r.scene, set(r.moves.shapes))
@@ -45,12 +54,7 @@ def launch(r: Request) -> Term | None:
     touched = Touched(seeds=seeds, unlit=unlit)
     kernel, guide = guided_kernel(r, TERM.name, make, head, len(cdf) - 1, cdf, touched)
     if getattr(r.method, "guiding", None) is None:
-        spread = r.scene.builder.environment >= 0 or r.config.media.emissive  # light comes from everywhere
-        guide.share = OWN_SHARE if spread else OWN_SHARE_DIRECT
-        if projects:
-            guide.share = projective.uniform_share(r)
-        if unlit:
-            guide.share = 1.0
+        guide.share = projective.uniform_share(r) if projects and not unlit else own_share(r)
     return term_of(r, TERM, kernel, [*head, guide], r.pixels * (r.method.spp_secondary or r.spp))
 
 
@@ -62,5 +66,5 @@ TERM = BoundaryTerm(
     launch=launch,
     applies=applies,
     guided=True,
-    knows=words("media"),
+    knows=words("media", "material_points"),
 )

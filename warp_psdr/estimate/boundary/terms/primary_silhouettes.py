@@ -8,6 +8,7 @@ import math
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
 from warp_psdr.kernels.boundary.silhouette.primary import make_primary_silhouette_kernel
 from warp_psdr.options.words import words
+from warp_psdr.topology.absent import there
 from warp_psdr.topology.kinds.family import Family, Shares
 from warp_psdr.topology.kinds.table import FAMILIES
 
@@ -25,7 +26,8 @@ def samples_of(r: Request, shares: Shares) -> int:
 
 def moving(family: Family, r: Request) -> list[int]:
     """Return the shapes of a family whose images may move."""
-    return [i for i in family.shapes(r.scene) if r.moves.camera or i in r.moves.shapes]
+    shapes = there(r.scene, family.shapes(r.scene))
+    return [i for i in shapes if r.moves.camera or i in r.moves.shapes]
 
 
 def launch(family: Family, r: Request) -> Term | None:
@@ -50,7 +52,7 @@ def _term(family: Family) -> BoundaryTerm:
         methods=family.methods,
         launch=functools.partial(launch, family),
         applies=functools.partial(applies, family),
-        knows=words("material_points", "slides"),
+        knows=words("material_points", "slides", *(["media"] if family.in_media else [])),
         part="both" if family.both else "smooth",
         recorded="primary",
     )
