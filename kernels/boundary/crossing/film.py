@@ -19,9 +19,8 @@ from warp_psdr.kernels.boundary.crossing.curve import (
     place_beside,
     sheet_in_front,
 )
-from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD
-from warp_psdr.kernels.boundary.forwards import make_hidden
+from warp_psdr.kernels.boundary.film_sight import make_film_sight
 from warp_psdr.kernels.boundary.silhouette.touch import FRONT
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
@@ -46,8 +45,7 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
     crossing_point = make_crossing_point(config.surfaces.primitives)
     accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
-    incident_radiance = make_incident_radiance(config)
-    hidden = make_hidden(config.rays, config.surfaces.primitives)
+    hidden, before_of, radiance_of = make_film_sight(config)
     shows = make_shows(config.surfaces.primitives)
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
@@ -83,7 +81,7 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
         distance = wp.length(point.x - at.origin)
         d = (point.x - at.origin) / distance
         start = point.x - (FRONT * point.step) * d
-        if not shows(scene, point, d) or hidden(scene, start, at.origin, at.near):
+        if not shows(scene, point, d) or hidden(scene, camera, sampler, start, at):
             return
         # ---- The motion of the image ----
         sheet_a = sheet_in_front(point.n_a, point.n_b, point.along, d)
@@ -108,16 +106,17 @@ def make_film_crossing_kernel(config: PathConfig, role: str, camera_moves: bool)
         ahead = wp.min(AHEAD * point.step, distance - at.near)
         t_max = at.far - distance + ahead
         sampler.index = wp.uint32(1)
+        before = before_of(scene, camera, sampler, at, d, distance - ahead - at.near)
         o = place_beside(point, sheet_a) - ahead * d
-        of_a = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+        of_a = radiance_of(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
         if not same_shape(scene, of_a.face, point.face_a):
             return
         sampler.index = wp.uint32(1)
         o = place_beside(point, sheet_b) - ahead * d
-        of_b = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+        of_b = radiance_of(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
         if not same_shape(scene, of_b.face, point.face_b):
             return
-        jump = of_a.radiance - of_b.radiance
+        jump = wp.cw_mul(before.transmittance, of_a.radiance - of_b.radiance)
         # ---- Accumulation ----
         scale = 1.0 / (point.density * wp.float32(job.samples))
         if wp.static(role != "forward"):

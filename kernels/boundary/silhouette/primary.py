@@ -13,10 +13,9 @@ import functools
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.boundary.detector import IncidentRadiance, make_incident_radiance
+from warp_psdr.kernels.boundary.detector import IncidentRadiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD
-from warp_psdr.kernels.boundary.forwards import make_hidden
-from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
+from warp_psdr.kernels.boundary.film_sight import make_film_sight
 from warp_psdr.kernels.boundary.pull_record import record_pull
 from warp_psdr.kernels.boundary.silhouette.aim import SLOT_SILHOUETTE
 from warp_psdr.kernels.boundary.silhouette.table import touch_of
@@ -24,7 +23,7 @@ from warp_psdr.kernels.boundary.silhouette.touch import MARGIN, SLOT_LENS, WIDER
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC
 from warp_psdr.kernels.invalid import count_invalid, vanishes
 from warp_psdr.kernels.jobs import SampleJob
-from warp_psdr.kernels.medium.line import BEFORE, ClearLine, make_line
+from warp_psdr.kernels.medium.line import ClearLine
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.notes import NOTE_POINT, make_note
 from warp_psdr.kernels.primitive.affine import step_off_primitive
@@ -44,12 +43,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
     ahead_of, meets, scale_of, held_at = touch.ahead, touch.meets, touch.scale, touch.held
     accumulate_point = touch.make_sink(role)
     accumulate_camera = make_camera_sink(role, config.camera) if camera_moves else None
-    among_media = config.media is not None
-    incident_radiance = None if among_media else make_incident_radiance(config)
-    media_radiance = make_media_radiance(config) if among_media else None
-    line = make_line(config)[0] if among_media else None
     own, behind = make_beside_edge(config.shown)
-    hidden = make_hidden(config.rays, config.surfaces.primitives, bool(touch.hides))
+    hidden, before_of, radiance_of = make_film_sight(config, bool(touch.hides))
     splat, gather = make_splat()
     project, film_gradient, film_velocity = make_projection(config.camera)
     lens_point = make_lens(config.camera)
@@ -89,18 +84,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         d = (point.x - at.origin) / distance
         step = step_off_primitive(scene, scene.triangles[drawn.face])
         passing = passing_at(scene, point, d, step, distance - at.near)
-        if passing.shows == 0:
+        if passing.shows == 0 or hidden(scene, camera, sampler, passing.start, at):
             return
-        if wp.static(among_media):
-            back = at.origin - passing.start
-            length = wp.length(back)
-            ray = -back / length
-            seen = line(scene, sampler, -1, at.origin + at.near * ray, ray, length - at.near, camera.medium, 0)
-            if length > at.near and (seen.face >= 0 or seen.lost):
-                return
-        else:
-            if hidden(scene, passing.start, at.origin, at.near):
-                return
         # ---- The motion of the image ----
         rate = film_velocity(scene, camera, at, point.along)
         a = film_gradient(scene, camera, at, wp.vec2(rate[1], -rate[0]))
@@ -117,7 +102,7 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
         sampler.index = wp.uint32(1)
         apart = passing.apart
         inside = IncidentRadiance()
-        before = ClearLine()  # up to where both rays start: beyond it the silhouette's transmittance is theirs
+        before = ClearLine()  # up to where both rays start
         met = wp.bool(False)
         k = wp.int32(0)
         ahead = wp.float32(0.0)
@@ -126,12 +111,8 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             ahead = wp.min(ahead, distance - at.near)
             o = point.x - apart * passing.out - ahead * d
             t_max = at.far - distance + ahead
-            if wp.static(among_media):
-                length = distance - ahead - at.near
-                before = line(scene, sampler, BEFORE, at.origin + at.near * d, d, length, camera.medium, 0)
-                inside = media_radiance(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
-            else:
-                inside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+            before = before_of(scene, camera, sampler, at, d, distance - ahead - at.near)
+            inside = radiance_of(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
             met = meets(point, False, inside.face, wp.dot(inside.x - point.x, d), ahead)
             if not met:
                 apart = wp.min(WIDER * apart, passing.most)
@@ -140,21 +121,14 @@ def make_primary_silhouette_kernel(config: PathConfig, role: str, camera_moves: 
             return
         o = point.x + apart * passing.out - ahead * d
         t_max = at.far - distance + ahead
-        outside = IncidentRadiance()
-        if wp.static(among_media):
-            outside = media_radiance(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
-        else:
-            outside = incident_radiance(scene, sampler, o, d, t_max, 0, job.max_depth, job.rr_depth)
+        outside = radiance_of(scene, sampler, before.medium, o, d, t_max, job.max_depth, job.rr_depth)
         if passing.crease == 1:
             if not meets(point, True, outside.face, wp.dot(outside.x - point.x, d), ahead):
                 return  # it passes another silhouette, which counts that jump
         if wp.static(bool(config.shown)):
             inside.radiance = own(point.x, distance - at.near)
             outside.radiance = behind(outside.radiance, outside.face, distance - ahead - at.near)
-        jump = inside.radiance - outside.radiance
-        if wp.static(among_media):
-            # What is scattered in front of the silhouette is common to both sides.
-            jump = wp.cw_mul(before.transmittance, jump)
+        jump = wp.cw_mul(before.transmittance, inside.radiance - outside.radiance)
         # ---- Accumulation ----
         scale = scale_of(point, drawn, wp.float32(job.samples))
         if wp.static(role != "forward"):

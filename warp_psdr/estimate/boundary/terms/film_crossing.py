@@ -34,5 +34,5 @@ TERM = BoundaryTerm(
     methods=(PathSpace, Projective),
     launch=launch,
     applies=applies,
-    knows=words("material_points", "slides"),
+    knows=words("material_points", "slides", "media"),
 )
