@@ -73,6 +73,7 @@ CONNECTED, CONNECTED_LIGHTS, CONNECTED_THROUGH = joined("all", SIMPLE, LIT_GLASS
 #: Media behind surfaces that are not there.
 MEDIA = changed(THROUGH, **materials("diffuse", "null"), media=MediaConfig((c.PHASE_ISOTROPIC, c.PHASE_HG), True))
 #: The same with grids.
+EXACT_MEDIA = changed(MEDIA, primitives=KINDS, shining=KINDS)
 GRIDS = changed(
     MEDIA,
     media=MediaConfig(

@@ -64,6 +64,7 @@ KINDS = (
     "intersection_curve",
     "film_crossing",
     "vertex_crossing",
+    "media_vertex_crossing",
     "indirect_terminator",
     "geometric_horizon",
     "media_horizon",

@@ -129,13 +129,17 @@ def test_a_sphere_that_absorbs_nothing_is_as_bright_as_the_sky(density) -> None:
     assert abs(image.mean() - 1.0) < 4.0 * error and error < 0.01
 
 
-@pytest.mark.parametrize("name", ["of milk", "painted, in milk"])
-def test_what_moves_is_refused_and_tessellation_offered(name) -> None:
+def test_what_moves_beside_grids_is_refused_and_meshes_are_offered() -> None:
     """Also what moves beside them, and with the interior term alone."""
-    scene = psdr.load_dict(described(name, EXACT))
-    for moved in ("ball.to_world", "floor.to_world", "sensor.to_world"):
+    axis = np.linspace(-1.0, 1.0, 8, dtype=np.float32)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    stone = {"type": "sdfgrid", "grid": (np.sqrt(x * x + y * y + z * z) - 0.6)[..., None], "bsdf": PAINT}
+    pose = psdr.Transform.translate([-0.5, -0.5, -0.5])
+    parts = described("of milk", EXACT) | {"stone": stone | {"to_world": pose}}
+    scene = psdr.load_dict(parts)
+    for moved in ("stone.to_world", "floor.to_world", "sensor.to_world"):
         for boundary in ("auto", None):
-            with pytest.raises(ValueError, match=r"'ball', an exact 'sphere'; leave out 'exact'"):
+            with pytest.raises(ValueError, match=r"where there is 'stone', .*; extract its triangles"):
                 psdr.plan(scene, names=[moved], integrator=psdr.PathIntegrator(max_depth=4, boundary=boundary))
 
 

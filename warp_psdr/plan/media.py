@@ -15,8 +15,7 @@ from warp_psdr.plan import primitives
 from warp_psdr.plan.motion import motion, moves_in_media
 from warp_psdr.scene.layout import MEDIUM, NORMALS, POSITIONS, SHAPE_GRID, SHAPE_POSE
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.topology.absent import absent_faces, absent_shapes
-from warp_psdr.topology.crossings import crossings
+from warp_psdr.topology.absent import absent_faces
 from warp_psdr.topology.edges_there import edges_there, pierced
 from warp_psdr.topology.interpolated_normals import interpolated_faces
 
@@ -172,9 +171,6 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
         if bent.any():
             shape = scene.description.shapes[scene.builder.face_shape[np.flatnonzero(bent)[0]]]
             return f"media that emit light do not know interpolated normals, as {shape.path!r} has; give face_normals"
-    through = _crossed_solid(scene, motion(scene, names).shapes)
-    if through:
-        return through
     points = c.DELTA_LIGHTS & set(config.lights.others)
     if points and has_chain_lobes(config.surfaces.bsdfs, True):
         lights = zip(scene.description.emitters, scene.builder.emitters, strict=True)
@@ -185,19 +181,6 @@ def refused(scene: Scene, config: PathConfig, names: list[str]) -> str:
         )
     met = pierced(scene, set(motion(scene, names).shapes)) if has_chain_lobes(config.surfaces.bsdfs, True) else ""
     return f"{met}, along a curve that moves, beside mirrors or glass; move them apart, by a little" if met else ""
-
-
-def _crossed_solid(scene: Scene, shapes: frozenset[int]) -> str:
-    """Say what of some shapes runs through an exact shape, along a curve that moves; empty: nothing that is there."""
-    found = crossings(scene, shapes) if scene.builder.primitives and shapes else None
-    if found is None:
-        return ""
-    owners = scene.triangles.numpy()["shape"][found.faces.numpy()]
-    there = owners[~absent_shapes(scene)[owners].any(axis=1)]
-    if not len(there):
-        return ""
-    a, b = (scene.description.shapes[i].path for i in there[0])
-    return f"{a!r} runs through {b!r} beside media, along a curve that moves; move them apart, or make meshes of both"
 
 
 def moves_media_alone(scene: Scene, name: str) -> bool:

@@ -50,24 +50,14 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
-    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
-    crossing_point = make_crossing_point(config.surfaces.primitives)
-    accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
-    accumulate_source = make_source_sink(role, False, config.surfaces.primitives)
-    coordinates = make_coordinates(config.surfaces.primitives)
-    slides = has_sliding(config.surfaces.primitives)
-    visibility = visibility_of(config.rays, config.surfaces.primitives)
-    shows = make_shows(config.surfaces.primitives)
-    sees = make_sees(config.rays, config.surfaces.primitives)
-    sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
-    source = make_source(config)
-    source = make_indirect(source) if indirect else source
-    transport = make_transport(config, role, camera_moves, source)
-    draw = make_sampler(config.sampler)
-    sample_1d = draw.sample_1d
-    sample_4d = draw.sample_4d
-    note_place = make_note(config.noted)
+def make_curve_segment(primitives: tuple[int, ...]):
+    """Return ``curve_segment(scene, point, u4, samples) -> (Segment, vec3)``: its end on A or B, and a direction.
+
+    The vector leads from the curve into the part of that surface which is seen (``sheet_in_front``).
+    """
+    coordinates = make_coordinates(primitives)
+    slides = has_sliding(primitives)
+    shows = make_shows(primitives)
 
     @wp.func
     def held_at(scene: Scene, face: wp.int32, x: wp.vec3) -> wp.vec2:
@@ -80,6 +70,54 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
             if wp.static(coordinates is not None):
                 return coordinates(tri, from_axes(tri, x - tri.normal))
         return barycentrics_at(tri, x)
+
+    @wp.func
+    def curve_segment(scene: Scene, point: CrossingPoint, u4: wp.vec4, samples: wp.float32) -> tuple[Segment, wp.vec3]:
+        s = Segment()
+        sheet = wp.vec3(0.0, 0.0, 0.0)
+        s.light = -1
+        s.tau = 1.0
+        s.step = point.step
+        s.w = square_to_sphere(wp.vec2(u4[0], u4[1]))
+        if not shows(scene, point, s.w):
+            return s, sheet
+        of_b = u4[2] >= 0.5
+        sheet = sheet_in_front(point.n_a, point.n_b, point.along, s.w)
+        s.face2 = point.face_a
+        if of_b:
+            sheet = sheet_in_front(point.n_b, point.n_a, point.along, s.w)
+            s.face2 = point.face_b
+        s.boundary_normal = wp.cross(point.along, s.w)
+        if wp.dot(s.boundary_normal, sheet) > 0.0:
+            s.boundary_normal = -s.boundary_normal
+        held = held_at(scene, s.face2, point.x)
+        s.u2 = held[0]
+        s.v2 = held[1]
+        # Of A and B one half each.
+        s.scale = wp.static(2.0 * FOUR_PI) / (point.density * samples)
+        s.valid = 1
+        return s, sheet
+
+    return curve_segment
+
+
+@functools.cache
+def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: bool, indirect: bool = False):
+    """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
+    crossing_point = make_crossing_point(config.surfaces.primitives)
+    accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
+    accumulate_source = make_source_sink(role, False, config.surfaces.primitives)
+    curve_segment = make_curve_segment(config.surfaces.primitives)
+    visibility = visibility_of(config.rays, config.surfaces.primitives)
+    sees = make_sees(config.rays, config.surfaces.primitives)
+    sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)
+    source = make_source(config)
+    source = make_indirect(source) if indirect else source
+    transport = make_transport(config, role, camera_moves, source)
+    draw = make_sampler(config.sampler)
+    sample_1d = draw.sample_1d
+    sample_4d = draw.sample_4d
+    note_place = make_note(config.noted)
 
     @wp.func
     def accumulate(
@@ -110,22 +148,10 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
         point = crossing_point(scene, curves, u)
         if point.valid == 0:
             return
-        s = Segment()
-        s.light = -1
-        s.tau = 1.0
-        s.step = point.step
-        s.w = square_to_sphere(wp.vec2(u4[0], u4[1]))
-        if not shows(scene, point, s.w):
+        s, sheet = curve_segment(scene, point, u4, wp.float32(job.samples))
+        if s.valid == 0:
             return
-        of_b = u4[2] >= 0.5
-        sheet = sheet_in_front(point.n_a, point.n_b, point.along, s.w)
-        s.face2 = point.face_a
-        if of_b:
-            sheet = sheet_in_front(point.n_b, point.n_a, point.along, s.w)
-            s.face2 = point.face_b
-        s.boundary_normal = wp.cross(point.along, s.w)
-        if wp.dot(s.boundary_normal, sheet) > 0.0:
-            s.boundary_normal = -s.boundary_normal
+        s.valid = 0
         s.x = point.x - (FRONT * s.step) * s.w
         s = sensor_end(scene, moving, s, moves(scene, moving, point.face_a) + moves(scene, moving, point.face_b))
         if s.valid == 0 or not sees(scene, s.x, s.w, s.t1):
@@ -133,11 +159,6 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
         s.source = place_beside(point, sheet) - wp.min(AHEAD * s.step, s.t1) * s.w
         if not same_shape(scene, visibility.closest(scene, s.source, s.w, FAR).face, s.face2):
             return
-        held = held_at(scene, s.face2, point.x)
-        s.u2 = held[0]
-        s.v2 = held[1]
-        # Of A and B one half each.
-        s.scale = wp.static(2.0 * FOUR_PI) / (point.density * wp.float32(job.samples))
         note_place(scene, NOTE_EDGE, s.face2, s.u2, s.v2, point.x, s.w, wp.vec3(s.scale))
         rest = wp.float32(0.0)
         if wp.static(role == "forward"):

@@ -74,9 +74,7 @@ def make_media_touching_segment(config: PathConfig, family: str, traces: bool):
         r.x = point.x + r.step * passing.out
         r.source = r.x
         here = medium_at(scene, eye, r.x, medium)
-        end = source_end(
-            scene, sampler, here, moving, r, point.face, point.x, aim, drawn.aims, wp.static(not traces)
-        )
+        end = source_end(scene, sampler, here, moving, r, point.face, point.x, aim, drawn.aims, wp.static(not traces))
         if end.valid == 0:
             return r, first
         density = wp.float32(0.0)

@@ -88,7 +88,7 @@ ALL: tuple[BoundaryTerm, ...] = (
     *hard_shadows.TERMS.values(),
     *intersection_curve.TERMS.values(),
     film_crossing.TERM,
-    vertex_crossing.TERM,
+    *vertex_crossing.TERMS.values(),
     indirect_terminator.TERM,
     *geometric_horizon.TERMS.values(),
     through_mirrors.TERM,

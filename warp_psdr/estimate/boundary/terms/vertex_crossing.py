@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
+from warp_psdr.kernels.boundary.crossing.media_vertex import make_media_vertex_crossing_kernel
 from warp_psdr.kernels.boundary.crossing.vertex import make_vertex_crossing_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.options.words import words
+from warp_psdr.plan.discontinuities import INTERSECTION_CURVE
 from warp_psdr.plan.motion import moving_shapes
 from warp_psdr.topology.crossings import crossings
 
@@ -28,6 +30,23 @@ def launch(r: Request) -> Term | None:
     return term_of(r, TERM, kernel, head, samples)
 
 
+def applies_in_media(r: Request) -> bool:
+    """Whether rays in media can end on such a curve, and one of its shapes moves."""
+    return bool(r.config.media is not None and r.config.surfaces.primitives and r.moves.shapes) and (
+        INTERSECTION_CURVE.applies(r.asked)
+    )
+
+
+def launch_in_media(r: Request) -> Term | None:
+    """Return the term of rays in media that end on curves which move."""
+    found = crossings(r.scene, r.moves.shapes)
+    if found is None:
+        return None
+    kernel = make_media_vertex_crossing_kernel(r.config, r.role, r.moves.camera, r.moves.grids)
+    samples = r.pixels * (r.method.spp_secondary or r.spp)
+    return term_of(r, IN_MEDIA, kernel, [r.scene.data(), r.camera, found], samples)
+
+
 TERM = BoundaryTerm(
     name="vertex_crossing",
     title="{} curves of intersection of shapes without triangles",
@@ -38,3 +57,13 @@ TERM = BoundaryTerm(
     splits=True,
     knows=words("material_points", "slides"),
 )
+IN_MEDIA = BoundaryTerm(
+    name="media_vertex_crossing",
+    title="curves of intersection of exact shapes in media",
+    stream=69,
+    methods=(PathSpace, Projective),
+    launch=launch_in_media,
+    applies=applies_in_media,
+    knows=words("material_points", "media"),
+)
+TERMS = {term.name: term for term in (TERM, IN_MEDIA)}
