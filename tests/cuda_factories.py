@@ -242,7 +242,6 @@ FACTORIES = {
         ("forward", (MEDIA, moving_among_media(MEDIA), "forward", 4, 4), SLOW),
         ("grids", (GRIDS, wanted(GRIDS, shapes=True, camera=True, media=("pose",)), "reverse", 4, 4), SLOW),
         ("reverse, mirrors", (MEDIA_MIRRORS, moving_among_media(MEDIA_MIRRORS), "reverse", 4, 4), SLOW),
-        ("forward, exact", (EXACT_MEDIA, moving_among_media(EXACT_MEDIA), "forward", 4, 4), SLOW),
     ],
     "boundary.path_space.media_secondary.make_media_secondary_kernel": [
         ("reverse", (MEDIA, "reverse", True, True, True), SLOW),
@@ -410,24 +409,18 @@ FACTORIES = {
     "boundary.warped_area.path_warped_area.make_path_warped_area_kernel": [
         ("reverse", (SIMPLE, moving_shapes(SIMPLE), "reverse", WarpedOptions(), 4), SLOW),
     ],
-    "boundary.crossing.film.make_film_crossing_kernel": [
-        ("reverse", (EXACT, "reverse", True), SLOW),
-        ("in media", (EXACT_MEDIA, "forward", True), SLOW),
-    ],
+    "boundary.crossing.film.make_film_crossing_kernel": [("reverse", (EXACT, "reverse", True), SLOW)],
     "boundary.crossing.vertex.make_vertex_crossing_kernel": [
         ("reverse", (EXACT, "reverse", True), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
     ],
-    "boundary.crossing.media_vertex.make_media_vertex_crossing_kernel": [
-        ("reverse", (EXACT_MEDIA, "reverse", True, False), SLOW),
-    ],
+    "boundary.crossing.media_vertex.make_media_vertex_crossing_kernel": [("r", (EXACT_MEDIA, "reverse", True, False), SLOW)],
     "boundary.crossing.film_tube_steps.make_film_tube_steps_kernel": [("reverse", (CURVES, "reverse", True), SLOW)],
     "boundary.crossing.vertex_tube_steps.make_vertex_tube_steps_kernel": [
         ("reverse", (CURVES, "reverse", True), SLOW),
     ],
     "boundary.silhouette.primary.make_primary_silhouette_kernel": [
         ("exact", (EXACT, "reverse", True, "exact"), SLOW),
-        ("exact, in media", (EXACT_MEDIA, "reverse", True, "exact"), SLOW),
         *((family, (DISTANCES, "reverse", True, family), SLOW) for family in ("grid", "grid creases")),
         *((family, (CUBIC, "reverse", True, family), SLOW) for family in ("cubic", "network")),
         ("curves", (CURVES, "reverse", True, "tubes"), SLOW),
@@ -447,8 +440,6 @@ FACTORIES = {
     ],
     "boundary.silhouette.media_secondary.make_media_secondary_silhouette_kernel": [
         ("reverse", (EXACT_MEDIA, "reverse", True, True, "exact", True), SLOW),
-        ("target", (EXACT_MEDIA, "target", False, False, "exact", False), SLOW),
-        ("guided, forward", (EXACT_MEDIA, "forward", False, False, "exact", True, False, True), SLOW),
     ],
     "boundary.path_space.secondary.make_secondary_kernel": [
         ("reverse, simple", (SIMPLE, "reverse", False, False), SLOW),

@@ -100,7 +100,7 @@ def make_transfer_sweep(config: PathConfig, wanted: GradientRequest, role: str, 
     lights = make_lights(config.lights.others, role, wanted.lights) if config.lights.others else None
     environment_vjp = lights.environment_vjp if lights else None
     accumulate_shadow = make_shadow_sink(config, role)
-    accumulate_end = make_light_end_sink(config, wanted, role)
+    accumulate_end = make_light_end_sink(config.surfaces, config.lights, wanted, role)
     accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
     accumulate_edge = make_edge_sink(role) if sees_edges else None
     accumulate_vertex = make_vertex_sink(role, False, True, False, config.surfaces.tangent, False, True)

@@ -20,7 +20,7 @@ from warp_psdr.kernels.boundary.crossing.curve import (
     place_beside,
 )
 from warp_psdr.kernels.boundary.crossing.film import same_shape
-from warp_psdr.kernels.boundary.crossing.vertex import make_curve_segment
+from warp_psdr.kernels.boundary.crossing.vertex import make_crossing_segment
 from warp_psdr.kernels.boundary.film_edge import AHEAD
 from warp_psdr.kernels.boundary.path_space.media_intersection_curve import make_whole_ray
 from warp_psdr.kernels.boundary.path_space.media_transport import make_media_transport
@@ -47,7 +47,7 @@ def make_media_vertex_crossing_kernel(config: PathConfig, role: str, camera_move
     crossing_point = make_crossing_point(config.surfaces.primitives)
     accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
     accumulate_source = make_source_sink(role, False, config.surfaces.primitives)
-    curve_segment = make_curve_segment(config.surfaces.primitives)
+    curve_segment = make_crossing_segment(config.surfaces.primitives)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     leaves_first = make_leaves_first(config.surfaces.primitives)
     _line, medium_at = make_line(config)

@@ -50,7 +50,7 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_curve_segment(primitives: tuple[int, ...]):
+def make_crossing_segment(primitives: tuple[int, ...]):
     """Return ``curve_segment(scene, point, u4, samples) -> (Segment, vec3)``: its end on A or B, and a direction.
 
     The vector leads from the curve into the part of that surface which is seen (``sheet_in_front``).
@@ -107,7 +107,7 @@ def make_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: boo
     crossing_point = make_crossing_point(config.surfaces.primitives)
     accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)
     accumulate_source = make_source_sink(role, False, config.surfaces.primitives)
-    curve_segment = make_curve_segment(config.surfaces.primitives)
+    curve_segment = make_crossing_segment(config.surfaces.primitives)
     visibility = visibility_of(config.rays, config.surfaces.primitives)
     sees = make_sees(config.rays, config.surfaces.primitives)
     sensor_end = make_sensor_end(config.rays, config.surfaces.primitives)

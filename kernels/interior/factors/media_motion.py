@@ -98,7 +98,7 @@ def make_moved_sweep(config: PathConfig, wanted: GradientRequest, role: str):
     accumulate_grid_flight = make_grid_flight_sink(role, grids_move) if grids else None
     emissive = config.media.emissive
     accumulate_glow = make_grid_emission_motion(config.media, role, grids_move) if emissive and grids else None
-    accumulate_end = make_light_end_sink(config, wanted, role)
+    accumulate_end = make_light_end_sink(config.surfaces, config.lights, wanted, role)
     accumulate_crossing = make_interface_sink(role, config.surfaces.primitives)
     is_interface, _behind = make_interface(config)
     accumulate_camera = make_camera_sink(role, config.camera) if wanted.camera else None

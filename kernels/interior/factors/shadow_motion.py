@@ -20,7 +20,7 @@ from warp_psdr.kernels.primitive.dispatch import make_adjoint_sink
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.surface import VertexAdjoint
-from warp_psdr.kernels.vertex import PathConfig
+from warp_psdr.kernels.vertex import LightConfig, PathConfig, SurfaceConfig
 
 
 @wp.struct
@@ -111,13 +111,13 @@ def make_shadow_sink(config: PathConfig, role: str):
 
 
 @functools.cache
-def make_light_end_sink(config: PathConfig, wanted: GradientRequest, role: str):
+def make_light_end_sink(surfaces: SurfaceConfig, lights: LightConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_end(scene, target, vertex, w) -> (bool, float32)``.
 
     ``w`` is the adjoint of the point of the vertex's light; False: the light has none.
     """
     accumulate_vertex = make_adjoint_sink(
-        role, False, False, False, False, False, False, config.surfaces.primitives if config.lights.shining else ()
+        role, False, False, False, False, False, False, surfaces.primitives if lights.shining else ()
     )
     sink = make_sink(role)
     sink3 = make_sink_vec3(role)

@@ -63,6 +63,6 @@ IN_MEDIA = BoundaryTerm(
     methods=(PathSpace, Projective, EdgeSampling),
     launch=launch_in_media,
     applies=applies_in_media,
-    knows=words("media"),
+    knows=words("media", "material_points"),
 )
 TERMS = {term.name: term for term in (ON_SURFACES, IN_MEDIA)}

@@ -101,7 +101,7 @@ IN_MEDIA = BoundaryTerm(
     methods=(EdgeSampling,),
     launch=launch_in_media,
     applies=applies_in_media,
-    knows=words("media"),
+    knows=words("media", "material_points"),
 )
 FRAMES = BoundaryTerm(
     name="light_frame",

@@ -56,5 +56,5 @@ TERM = BoundaryTerm(
     methods=(EdgeSampling,),
     launch=launch,
     applies=applies,
-    knows=words("media"),
+    knows=words("media", "material_points"),
 )
