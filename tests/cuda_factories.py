@@ -414,7 +414,7 @@ FACTORIES = {
         ("reverse", (EXACT, "reverse", True), SLOW),
         ("indirect, lights", (EXACT_LIGHTS, "forward", False, True), SLOW),
     ],
-    "boundary.crossing.media_vertex.make_media_vertex_crossing_kernel": [("r", (EXACT_MEDIA, "reverse", True, False), SLOW)],
+    "boundary.crossing.media_vertex.make_media_crossing_kernel": [("r", (EXACT_MEDIA, "reverse", True, False), SLOW)],
     "boundary.crossing.film_tube_steps.make_film_tube_steps_kernel": [("reverse", (CURVES, "reverse", True), SLOW)],
     "boundary.crossing.vertex_tube_steps.make_vertex_tube_steps_kernel": [
         ("reverse", (CURVES, "reverse", True), SLOW),

@@ -42,7 +42,7 @@ from warp_psdr.kernels.visibility import visibility_of
 
 
 @functools.cache
-def make_media_vertex_crossing_kernel(config: PathConfig, role: str, camera_moves: bool, grids_move: bool):
+def make_media_crossing_kernel(config: PathConfig, role: str, camera_moves: bool, grids_move: bool):
     """Return the kernel: one thread a sample (arguments as in ``path_space/secondary.py``)."""
     crossing_point = make_crossing_point(config.surfaces.primitives)
     accumulate_crossing = make_crossing_sink(role, config.surfaces.primitives)

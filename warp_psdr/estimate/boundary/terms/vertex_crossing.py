@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from warp_psdr.estimate.boundary.terms.request import BoundaryTerm, Request, Term, term_of
-from warp_psdr.kernels.boundary.crossing.media_vertex import make_media_vertex_crossing_kernel
+from warp_psdr.kernels.boundary.crossing.media_vertex import make_media_crossing_kernel
 from warp_psdr.kernels.boundary.crossing.vertex import make_vertex_crossing_kernel
 from warp_psdr.options.boundary import PathSpace, Projective
 from warp_psdr.options.words import words
@@ -42,7 +42,7 @@ def launch_in_media(r: Request) -> Term | None:
     found = crossings(r.scene, r.moves.shapes)
     if found is None:
         return None
-    kernel = make_media_vertex_crossing_kernel(r.config, r.role, r.moves.camera, r.moves.grids)
+    kernel = make_media_crossing_kernel(r.config, r.role, r.moves.camera, r.moves.grids)
     samples = r.pixels * (r.method.spp_secondary or r.spp)
     return term_of(r, IN_MEDIA, kernel, [r.scene.data(), r.camera, found], samples)
 
