@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.bsdf.dispatch import has_delta_lobes
+from warp_psdr.kernels.bsdf.dispatch import has_chain_lobes, has_delta_lobes
 from warp_psdr.kernels.primitive.curve_kinds import CURVES
 from warp_psdr.kernels.primitive.dispatch import has_sliding
 from warp_psdr.kernels.primitive.kind import FLOWS
@@ -72,7 +72,8 @@ def _of_exact(scene: Scene, config: PathConfig, integrator: PathIntegrator, name
     moves = motion(scene, names)
     moved, joined = None if moves.camera else moves.shapes, joined_rims(scene)
     bared, rims = (next(iter(pairs), None) for pairs in (joined.bared, joined.pairs))
-    rims, hidden = rims if has_delta_lobes(config.surfaces.bsdfs) else None, integrator.hide_emitters
+    rims = rims if has_chain_lobes(config.surfaces.bsdfs, config.media is not None) else None
+    hidden = integrator.hide_emitters
     return (
         _told(scene, bared, "{a} lies in the surface of {b}, which closes the cylinder by itself; leave it out")
         or _told(
