@@ -30,8 +30,9 @@ START_BEHIND_LEAST = 4.0
 #: A surface counts as that of a point within this many ray epsilons of its plane, if it is met this near: what lies
 #: far behind a plane seen edge-on is in it, too.
 ON_PLANE, NEAR = 0.5, 2000.0
-#: Cosine between the normals of two triangles above which one continues the other in its plane.
-IN_PLANE = 0.9999
+#: Sine of the angle between two triangles below which one continues the other in its plane: roundings of corners.
+#: Needles that meet in a point, as at the pole of a sphere, are turned by little more, and have edges of their own.
+IN_PLANE = 1.0e-4
 #: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
 PARALLEL = 1.0e-5
 #: ``Edges.ends`` of what has no vertices: a curve in which two faces run through each other; a step of a texture.
@@ -250,7 +251,8 @@ def own_face(scene: Scene, edges: Edges, edge: wp.int32, face: wp.int32) -> wp.b
         return False
     for i in range(edges.first[edge], edges.first[edge + 1]):
         own = edges.faces[i]
-        if face == own or wp.dot(scene.triangles[face].normal, scene.triangles[own].normal) > IN_PLANE:
+        turn = wp.cross(scene.triangles[face].normal, scene.triangles[own].normal)
+        if face == own or wp.length(turn) < IN_PLANE:
             return True
     return False
 

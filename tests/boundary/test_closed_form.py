@@ -6,7 +6,8 @@ from scipy.spatial import ConvexHull
 
 import warp_psdr as psdr
 
-from .scenes import ball, camera, diffuse, floor, load
+from .measure import accumulated
+from .scenes import ball, camera, diffuse, floor, load, sky
 
 ALBEDO = np.array([0.3, 0.5, 0.7])
 
@@ -172,3 +173,22 @@ def test_horizons_of_mirrors_seen_in_grazing_reflections_move_as_they_should() -
     assert image.min() < 0.5  # a pixel in which paths end between the two horizons
     gain = moved.astype(np.float64)[..., 0].mean(axis=0).sum() * 2.0 * half / width
     assert gain == pytest.approx((image[:, 0] - image[:, -1]).mean(), abs=0.03)
+
+
+def test_needles_at_a_pole_seen_edge_on_count_their_outline_once():
+    """A tessellated sphere has the outline of an exact one, also where the camera sees the triangles of a pole edge-on.
+
+    Their images are narrower there than the distance at which rays pass edges.
+    """
+
+    def summed(**how) -> float:
+        sphere = {"type": "sphere", "center": [0.1, 0.05, 0.2], "radius": 0.45, "bsdf": diffuse(0.0), **how}
+        sensor = camera((4.0, 1.0, 0.6), (0.0, 0.0, 0.0), fov=38.0)
+        scene = psdr.load_dict({"type": "scene", "sensor": sensor, "sky": sky(), "ball": sphere})
+        integrator = psdr.PathIntegrator(max_depth=1)
+        tangents = {"ball.to_world": lambda pose: pose * [[1.0, 1.0, 1.0, 0.0]] * [[1.0], [1.0], [1.0], [0.0]]}
+        return float(accumulated(scene, tangents, integrator, 256, 1).sum())
+
+    exact = summed(exact=True)
+    assert exact < -10.0
+    assert summed(resolution=192, face_normals=True) == pytest.approx(exact, rel=0.006)
