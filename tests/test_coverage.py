@@ -87,11 +87,11 @@ def test_the_table_has_what_is_known_to_work_and_not_to() -> None:
 
 
 def test_a_table_of_one_kind_beside_an_effect_prints() -> None:
-    table = psdr.coverage(kind="exact sphere", effect="media")
-    assert [cell.row for cell in table] == ["exact sphere, media"] * len(REQUESTS)
+    table = psdr.coverage(kind="linearcurve", effect="media")
+    assert [cell.row for cell in table] == ["linearcurve, media"] * len(REQUESTS)
     lines = repr(table).splitlines()
-    assert lines[0].split()[:2] == ["image", "pose"] and lines[1].startswith("exact sphere, media  yes    no (1)")
-    assert lines[3].startswith("1: what moves beside media is not followed where there is 'shape', an exact 'sphere'")
+    assert lines[0].split()[:2] == ["image", "pose"] and lines[1].startswith("linearcurve, media  yes    no (1)")
+    assert lines[3].startswith("1: what moves beside media is not followed where there is 'shape', a 'linearcurve'")
     assert table.markdown().splitlines()[2:4] == ["| image | yes |", "| pose | no (1) |"]
     assert "<td" in table._repr_html_()
     for given in ({"kind": "torus"}, {"effect": "fog"}, {"request": "colour"}):

@@ -134,13 +134,14 @@ def test_the_environment_is_sampled_by_its_new_texels() -> None:
     dark = np.full((8, 16, 3), 1e-3, np.float32)
     scene = psdr.load_dict(describe(sky=dark))
     params = psdr.traverse(scene)
-    before = scene.lights.env_marginal.numpy()
+    before = [scene.lights.cells(compensated)[0].numpy() for compensated in (False, True)]
     dark[1, 3] = 1000.0
     params["sky.data"] = dark
     params.update()
     # All but the uniform share of the samples goes to the two rows of cells that touch the sun.
-    assert np.diff(scene.lights.env_marginal.numpy())[:2].sum() > 0.9
-    assert np.diff(before)[:2].sum() < 0.5
+    for old, compensated in zip(before, (False, True), strict=True):
+        assert np.diff(scene.lights.cells(compensated)[0].numpy()[:8])[:2].sum() > 0.9
+        assert np.diff(old[:8])[:2].sum() < 0.5
 
 
 def test_the_size_of_the_scene_follows_an_edit() -> None:
