@@ -183,8 +183,8 @@ CASES = [
     Case("behind", WALL, turned(2), 0.002, "mirror turns", **MANY),
     Case("behind", CAMERA, ALONG, 0.01, "camera moves", **MANY),
     # In a curved one.
-    Case("mirror ball", WALL, ALONG, 0.002, "mirror moves", **MANY),
-    Case("mirror ball", LAMP, ALONG, 0.01, "lamp moves", spp=3072, difference_spp=12288),
+    Case("mirror ball", WALL, ALONG, 0.002, "mirror moves", spp=4096, difference_spp=16384),
+    Case("mirror ball", LAMP, ALONG, 0.01, "lamp moves", spp=4096, difference_spp=16384),
     # Through glass.
     Case("slab", LAMP, ALONG, 0.01, "lamp moves", depth=4, spp=1024, difference_spp=4096),
     Case("slab", GLASSES, turned(2), 0.01, "slab turns", depth=4, **MANY),
