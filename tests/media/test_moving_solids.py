@@ -95,7 +95,7 @@ ROWS = [
 @pytest.mark.filterwarnings("ignore:samples that were not finite")  # rays through the edges of cubes
 @pytest.mark.parametrize(("make", "names", "motion", "depth", "spp", "what"), ROWS, ids=[row[-1] for row in ROWS])
 def test_derivative_equals_finite_differences(make, names, motion, depth, spp, what) -> None:
-    """Of a weighted image, in both modes."""
+    """A weighted image is compared, in both modes."""
     names = [names] if isinstance(names, str) else list(names)
     scene = make()
     params = psdr.traverse(scene)

@@ -12,7 +12,7 @@ from warp_psdr.kernels.boundary.specular.triangle_borders import Tables
 from warp_psdr.kernels.constants import READ_TEXCOORDS
 from warp_psdr.kernels.texture.steps import StepTextures
 from warp_psdr.scene.materials.bsdfs import model_of
-from warp_psdr.scene.shapes.shading import ROUNDED, vertex_normals
+from warp_psdr.scene.shapes.shading import ROUNDED, normals_at_vertices
 from warp_psdr.topology.absent import absent_faces, absent_shapes
 from warp_psdr.topology.edges import every_edge, joined_faces, scene_adjacency, without
 from warp_psdr.topology.film_edges import smooth_edges
@@ -100,9 +100,7 @@ def seams(scene: Scene, edges: Adjacency) -> np.ndarray:
 
     Tessellated spheres have one, whose vertices are there twice, with equal normals.
     """
-    b, normals = scene.builder, np.zeros(scene.points.shape)
-    for s, own in vertex_normals(scene):
-        normals[s.first_vertex : s.first_vertex + s.vertex_count] = own
+    b, normals = scene.builder, normals_at_vertices(scene)
     reads = [bool(READ_TEXCOORDS & {t.kind for t in b.textures_of(s)}) for s in b.shapes]
     plain = np.array([s.smooth == 1 for s in b.shapes]) & ~np.array(reads)
     first, last = edges.first[:-1], edges.first[1:] - 1

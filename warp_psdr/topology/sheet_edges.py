@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from warp_psdr.scene.shapes.shading import vertex_normals
+from warp_psdr.scene.shapes.shading import normals_at_vertices
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.unchanged import kept
 
@@ -26,9 +26,7 @@ def _creases_and_seams(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     edges, shapes = scene_adjacency(scene), scene.builder.shapes
     of = scene.builder.face_shape[edges.faces[edges.first[:-1]]]
     seams = (edges.count == 2) & (edges.ends != edges.twins).any(axis=1)
-    normals = np.zeros((scene.vertex_count, 3), np.float32)
-    for shape, own in vertex_normals(scene):
-        normals[shape.first_vertex : shape.first_vertex + shape.vertex_count] = own
+    normals = normals_at_vertices(scene)
     jumps = np.array([shape.smooth == 0 for shape in shapes])[of]
     jumps[seams] |= (np.abs(normals[edges.ends[seams]] - normals[edges.twins[seams]]) > ONE_NORMAL).any(axis=(1, 2))
     creases = (edges.count == 2) & (edges.wedge > 0.0) & jumps

@@ -93,7 +93,7 @@ def make_crossing_segment(primitives: tuple[int, ...]):
         held = held_at(scene, s.face2, point.x)
         s.u2 = held[0]
         s.v2 = held[1]
-        # Of A and B one half each.
+        # Half of the samples end on A, half on B.
         s.scale = wp.static(2.0 * FOUR_PI) / (point.density * samples)
         s.valid = 1
         return s, sheet

@@ -260,8 +260,8 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
         hit = wp.where(own_low, low.x, high.x)
         x_b = hit
         front = wp.bool(False)
+        own_face = wp.where(own_low, low.face, high.face)
         if wp.static(outline_at is not None):
-            own_face = wp.where(own_low, low.face, high.face)
             if is_primitive_at(scene, own_face):
                 if low.face == high.face:
                     front = one_sheet(scene, low, high) == JUMPS
@@ -337,7 +337,6 @@ def make_edge_crossing(hidden: bool, primitives: tuple[int, ...]):
         apart_by = wp.float32(0.0)
         if r.edge == 1:
             apart_by = sharp_glass(scene, edges, own)
-            own_face = wp.where(own_low, low.face, high.face)
             if refracts(scene, own_face):
                 apart_by = wp.max(apart_by, CORNER)
         if r.edge == 1 and wp.length(low.x - high.x) <= room and low.face >= 0 and high.face >= 0:

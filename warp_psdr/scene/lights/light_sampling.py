@@ -100,7 +100,7 @@ def build_env_distribution(data: np.ndarray, compensated: bool = False) -> tuple
     Args:
         data: texels, shape ``(H, W, C)``, H >= 2. Negative values count as black.
         compensated: for light that scattered rays look for as well. These find what is dim, so the map's
-            mean is taken off [KSV*19]. Of maps without contrast little would be left: from them, less is taken.
+            mean is taken off [KSV*19]. It takes less off a map without contrast, of which little would be left.
 
     Returns:
         ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape

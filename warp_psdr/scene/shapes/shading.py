@@ -28,6 +28,14 @@ def vertex_normals(scene: Scene) -> Iterator[tuple[structs.Shape, np.ndarray]]:
             yield s, values[first : first + 3 * s.vertex_count].reshape(-1, 3)
 
 
+def normals_at_vertices(scene: Scene) -> np.ndarray:
+    """Return the normals at all vertices, (V, 3) float32; zero where none are interpolated."""
+    found = np.zeros((scene.vertex_count, 3), np.float32)
+    for s, own in vertex_normals(scene):
+        found[s.first_vertex : s.first_vertex + s.vertex_count] = own
+    return found
+
+
 def normals_at_corners(scene: Scene) -> Iterator[tuple[slice, np.ndarray, list[np.ndarray]]]:
     """Yield the triangles with interpolated normals, in stretches of one shape: which triangles, and their normals.
 
