@@ -30,7 +30,7 @@ START_BEHIND_LEAST = 4.0
 #: A surface counts as that of a point within this many ray epsilons of its plane, if it is met this near: what lies
 #: far behind a plane seen edge-on is in it, too.
 ON_PLANE, NEAR = 0.5, 2000.0
-#: Sine of the angle between two triangles below which one continues the other in its plane: roundings of corners.
+#: Sine of the angle between the normals of two triangles below which one continues the other: roundings of corners.
 #: Needles that meet in a point, as at the pole of a sphere, are turned by little more, and have edges of their own.
 IN_PLANE = 1.0e-4
 #: Sine of the angle between a face and light up to which they are parallel: some roundings of normals.
@@ -251,8 +251,8 @@ def own_face(scene: Scene, edges: Edges, edge: wp.int32, face: wp.int32) -> wp.b
         return False
     for i in range(edges.first[edge], edges.first[edge + 1]):
         own = edges.faces[i]
-        turn = wp.cross(scene.triangles[face].normal, scene.triangles[own].normal)
-        if face == own or wp.length(turn) < IN_PLANE:
+        n, m = scene.triangles[face].normal, scene.triangles[own].normal
+        if face == own or (wp.dot(n, m) > 0.0 and wp.length(wp.cross(n, m)) < IN_PLANE):
             return True
     return False
 
