@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import signal
+
 from tests.pool.cases import CASES
 from warp_psdr.distributed import Pool
 
 
 def main() -> None:
     """Render."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets what it runs in the background ignore it
     scene, _params = CASES["gap"].load()
     with Pool("local", processes=2) as pool:
         try:
