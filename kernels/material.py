@@ -58,7 +58,7 @@ def make_material(models: tuple[str, ...], material: tuple[Slot, ...], primitive
         if slot.table:
             lines.append(f"    m.{slot.name} = table_address(scene, i{k})")
             continue
-        scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises, primitives)
+        scope[f"texture_{k}"] = make_reader(slot.kinds, slot.rises, slot.color, primitives)
         value = f"texture_{k}(scene, i{k}, face, u, v, uv)" + ("" if slot.color else "[0]")
         if is_optional(models, slot):
             lines += [f"    if i{k} >= 0:", f"        m.{slot.name} = {value}"]

@@ -175,16 +175,15 @@ def make_light_draw(lights: LightConfig, left_out: tuple[int, ...] = ()):
     @wp.func
     def draw(scene: Scene, index: wp.int32, face: wp.int32, tri: Triangle, x: wp.vec3, u: wp.vec2) -> LightSample:
         emitter = emitter_at(scene, wp.where(wp.static(lights.one_light), 0, index))
-        if wp.static(bool(lights.area and lights.others)):
+        if wp.static(bool(lights.area and other is not None)):
             ls = LightSample()
             if face >= 0:
                 ls = area.sample_point(scene, emitter, face, tri, x, u)
             else:
-                if wp.static(other is not None):
-                    ls = other(scene, emitter, x, u)
+                ls = other(scene, emitter, x, u)
                 ls.face = -1
         elif wp.static(bool(lights.area)):
-            ls = area.sample_point(scene, emitter, face, tri, x, u)
+            ls = area.sample_point(scene, emitter, wp.max(face, 0), tri, x, u)  # anything, where there is no face
         else:
             ls = other(scene, emitter, x, u)
             ls.face = -1

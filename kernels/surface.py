@@ -18,14 +18,14 @@ import warp as wp
 from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.modules import SCENE
-from warp_psdr.kernels.reading import load_vec2, load_vec3, shape_at, triangle_at
+from warp_psdr.kernels.reading import load_float, load_vec3, shape_at, triangle_at
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
-from warp_psdr.kernels.structs import Scene, Triangle
+from warp_psdr.kernels.structs import Scene, Shape, Triangle
 
 #: Squared length below which interpolated normals cancel.
 CANCELLED = wp.constant(1.0e-20)
-#: Area of a triangle's texture coordinates, twice, up to which they tell no directions; as in ``uv_tangent``.
-DEGENERATE = 1.0e-20
+#: Area of a triangle's texture coordinates, twice, up to which they tell no directions.
+DEGENERATE = wp.constant(1.0e-20)
 
 
 @wp.func
@@ -34,16 +34,46 @@ def point_on(tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec3:
     return (1.0 - u - v) * tri.p0 + u * tri.p1 + v * tri.p2
 
 
+@wp.struct
+class CornerTexcoords:
+    """Texture coordinates of a triangle's corners. Numbers: a loop over lanes in which a ``vec2`` moves is no SIMD."""
+
+    u0: wp.float32
+    v0: wp.float32
+    u1: wp.float32
+    v1: wp.float32
+    u2: wp.float32
+    v2: wp.float32
+
+
+@wp.func
+def corner_texcoords(scene: Scene, shape: Shape, tri: Triangle) -> CornerTexcoords:
+    """Texture coordinates of a triangle's corners; their barycentrics where its shape has none."""
+    given = shape.has_uv == 1
+    at0 = wp.where(given, shape.uv_offset + 2 * tri.i0, 0)
+    at1 = wp.where(given, shape.uv_offset + 2 * tri.i1, 0)
+    at2 = wp.where(given, shape.uv_offset + 2 * tri.i2, 0)
+    c = CornerTexcoords()
+    c.u0 = wp.where(given, load_float(scene.values, at0), 0.0)
+    c.v0 = wp.where(given, load_float(scene.values, at0 + 1), 0.0)
+    c.u1 = wp.where(given, load_float(scene.values, at1), 1.0)
+    c.v1 = wp.where(given, load_float(scene.values, at1 + 1), 0.0)
+    c.u2 = wp.where(given, load_float(scene.values, at2), 0.0)
+    c.v2 = wp.where(given, load_float(scene.values, at2 + 1), 1.0)
+    return c
+
+
+@wp.func
+def texcoords_of(c: CornerTexcoords, u: wp.float32, v: wp.float32) -> wp.vec2:
+    """Texture coordinates at the barycentrics (u, v)."""
+    w = 1.0 - u - v
+    return wp.vec2(w * c.u0 + u * c.u1 + v * c.u2, w * c.v0 + u * c.v1 + v * c.v2)
+
+
 @wp.func
 def texcoords_at(scene: Scene, tri: Triangle, u: wp.float32, v: wp.float32) -> wp.vec2:
     """Texture coordinates of a point of a triangle; its barycentrics where the shape has none."""
-    shape = shape_at(scene, tri.shape)
-    if shape.has_uv == 0:
-        return wp.vec2(u, v)
-    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-    return (1.0 - u - v) * t0 + u * t1 + v * t2
+    return texcoords_of(corner_texcoords(scene, shape_at(scene, tri.shape), tri), u, v)
 
 
 @wp.struct
@@ -121,29 +151,22 @@ def uv_tangent(p0: wp.vec3, p1: wp.vec3, p2: wp.vec3, t0: wp.vec2, t1: wp.vec2, 
     d1 = t1 - t0
     d2 = t2 - t0
     det = d1[0] * d2[1] - d1[1] * d2[0]
-    if wp.abs(det) < 1.0e-20:
-        return p1 - p0
-    return (d2[1] * (p1 - p0) - d1[1] * (p2 - p0)) / det
+    some = wp.abs(det) >= DEGENERATE
+    return where3(some, (d2[1] * (p1 - p0) - d1[1] * (p2 - p0)) / wp.where(some, det, 1.0), p1 - p0)
 
 
 @wp.func
 def uv_partials(scene: Scene, tri: Triangle) -> tuple[wp.vec3, wp.vec3]:
     """dp/du and dp/dv; those of the barycentrics where there are no texture coordinates, or degenerate ones."""
-    shape = shape_at(scene, tri.shape)
-    dp_du = tri.p1 - tri.p0
-    dp_dv = tri.p2 - tri.p0
-    if shape.has_uv == 1:
-        t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-        t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-        t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-        d1 = t1 - t0
-        d2 = t2 - t0
-        det = d1[0] * d2[1] - d1[1] * d2[0]
-        if wp.abs(det) > DEGENERATE:
-            e1 = dp_du
-            e2 = dp_dv
-            dp_du = (d2[1] * e1 - d1[1] * e2) / det
-            dp_dv = (d1[0] * e2 - d2[0] * e1) / det
+    c = corner_texcoords(scene, shape_at(scene, tri.shape), tri)
+    e1 = tri.p1 - tri.p0
+    e2 = tri.p2 - tri.p0
+    det = (c.u1 - c.u0) * (c.v2 - c.v0) - (c.v1 - c.v0) * (c.u2 - c.u0)
+    dp_du = e1
+    dp_dv = e2
+    if wp.abs(det) > DEGENERATE:
+        dp_du = ((c.v2 - c.v0) * e1 - (c.v1 - c.v0) * e2) / det
+        dp_dv = ((c.u1 - c.u0) * e2 - (c.u2 - c.u0) * e1) / det
     return dp_du, dp_dv
 
 
@@ -229,23 +252,21 @@ def make_surface_of(smooth: bool, flat: bool, uv: bool, tangent: bool):
                 is_smooth = shape.smooth == 1
                 if wp.static(not flat):
                     is_smooth = True
-                if is_smooth:
-                    n0 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i0)
-                    n1 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i1)
-                    n2 = load_vec3(scene.values, shape.normal_offset + 3 * tri.i2)
-                    n = interpolate(n0, n1, n2, u, v)
-                    s.length = length_of_normals(n)
-                    s.n = shape.orientation * unit_normal(n, s.length, shape.orientation * tri.normal)
+                n0 = load_vec3(scene.values, wp.where(is_smooth, shape.normal_offset + 3 * tri.i0, 0))
+                n1 = load_vec3(scene.values, wp.where(is_smooth, shape.normal_offset + 3 * tri.i1, 0))
+                n2 = load_vec3(scene.values, wp.where(is_smooth, shape.normal_offset + 3 * tri.i2, 0))
+                n = interpolate(n0, n1, n2, u, v)
+                length = length_of_normals(n)
+                turned = shape.orientation * unit_normal(n, length, shape.orientation * tri.normal)
+                s.length = wp.where(is_smooth, length, -1.0)
+                s.n = where3(is_smooth, turned, tri.normal)
             if wp.static(uv or tangent):
-                s.uv = wp.vec2(u, v)
+                c = corner_texcoords(scene, shape, tri)
+                s.uv = texcoords_of(c, u, v)
                 s.tangent = tri.p1 - tri.p0
-                if shape.has_uv == 1:
-                    t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-                    t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-                    t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-                    s.uv = (1.0 - u - v) * t0 + u * t1 + v * t2
-                    if wp.static(tangent):
-                        s.tangent = uv_tangent(tri.p0, tri.p1, tri.p2, t0, t1, t2)
+                if wp.static(tangent):
+                    t0, t1, t2 = wp.vec2(c.u0, c.v0), wp.vec2(c.u1, c.v1), wp.vec2(c.u2, c.v2)
+                    s.tangent = uv_tangent(tri.p0, tri.p1, tri.p2, t0, t1, t2)
         return s
 
     return surface_of
@@ -320,38 +341,29 @@ def make_vertex_sink(role: str, smooth: bool, flat: bool, uv: bool, tangent: boo
         a2 = corners.p2
         # Texture coordinates and their tangent.
         if wp.static(uv or tangent):
-            if shape.has_uv == 1:
-                t0 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i0)
-                t1 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i1)
-                t2 = load_vec2(scene.values, shape.uv_offset + 2 * tri.i2)
-                a_u += wp.dot(adjoint.uv, t1 - t0)
-                a_v += wp.dot(adjoint.uv, t2 - t0)
-                c0 = w * adjoint.uv
-                c1 = u * adjoint.uv
-                c2 = v * adjoint.uv
-                if wp.static(tangent):
-                    g0, g1, g2, h0, h1, h2, _ga = wp.grad(tangent_dot)(
-                        tri.p0, tri.p1, tri.p2, t0, t1, t2, adjoint.tangent
-                    )
-                    a0 += g0
-                    a1 += g1
-                    a2 += g2
-                    c0 += h0
-                    c1 += h1
-                    c2 += h2
-                if wp.static(texcoords):
+            c = corner_texcoords(scene, shape, tri)
+            t0, t1, t2 = wp.vec2(c.u0, c.v0), wp.vec2(c.u1, c.v1), wp.vec2(c.u2, c.v2)
+            a_u += wp.dot(adjoint.uv, t1 - t0)
+            a_v += wp.dot(adjoint.uv, t2 - t0)
+            c0 = w * adjoint.uv
+            c1 = u * adjoint.uv
+            c2 = v * adjoint.uv
+            if wp.static(tangent):
+                g0, g1, g2, h0, h1, h2, _ga = wp.grad(tangent_dot)(tri.p0, tri.p1, tri.p2, t0, t1, t2, adjoint.tangent)
+                a0 += g0
+                a1 += g1
+                a2 += g2
+                c0 += h0
+                c1 += h1
+                c2 += h2
+            if wp.static(texcoords):
+                if shape.has_uv == 1:
                     total += sink1(target, shape.uv_offset + 2 * tri.i0, c0[0])
                     total += sink1(target, shape.uv_offset + 2 * tri.i0 + 1, c0[1])
                     total += sink1(target, shape.uv_offset + 2 * tri.i1, c1[0])
                     total += sink1(target, shape.uv_offset + 2 * tri.i1 + 1, c1[1])
                     total += sink1(target, shape.uv_offset + 2 * tri.i2, c2[0])
                     total += sink1(target, shape.uv_offset + 2 * tri.i2 + 1, c2[1])
-            else:
-                a_u += adjoint.uv[0]
-                a_v += adjoint.uv[1]
-                if wp.static(tangent):
-                    a0 -= adjoint.tangent
-                    a1 += adjoint.tangent
         # Barycentrics attached to the ray that found them.
         if wp.static(rays):
             if by_ray:

@@ -14,7 +14,16 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.bvh.simd import BARYCENTRICS, DISTANCE, EDGES, NEAREST, TYPES
+from warp_psdr.kernels.bvh.simd import (
+    BARYCENTRICS,
+    BOX_IN_ROWS,
+    DISTANCE,
+    EDGES,
+    NEAREST,
+    RAYS_IN_ROWS,
+    SLABS_IN_ROWS,
+    TYPES,
+)
 from warp_psdr.kernels.bvh.wide import Accel, native
 from warp_psdr.kernels.lanes.lanes import ROWS
 
@@ -27,19 +36,9 @@ _START = (
         const int* wanted, float* found)
     {
     #pragma clang fp contract(off)
-    vf ray_o[3], ray_d[3], size[3], from_c[3], farthest = 0.0f;
-    for (int axis = 0; axis < 3; ++axis) {
-        ray_o[axis] = *(const row*)(rays + axis * $W);
-        ray_d[axis] = *(const row*)(rays + (3 + axis) * $W);
-        size[axis] = Simd::abs(ray_d[axis]);
-        from_c[axis] = ray_o[axis] - center[axis];
-        farthest = Simd::max(farthest, Simd::abs(from_c[axis]));
-    }
-    const vf limits = *(const row*)(rays + 6 * $W);
-    const vf sum = ray_o[0] + ray_o[1] + ray_o[2] + ray_d[0] + ray_d[1] + ray_d[2];
-    const vf largest = Simd::max(Simd::max(size[0], size[1]), size[2]);
-    const u32 traced = Simd::mask((*(const int_row*)wanted != 0) & (0.0f * sum == 0.0f) & (largest > 0.0f));
-
+"""
+    + RAYS_IN_ROWS
+    + """
     // The largest component becomes z: kz = 0, kz = 1, or else 2.
     const vi first = (size[0] > size[1]) & (size[0] > size[2]), second = (size[0] <= size[1]) & (size[1] > size[2]);
     const vf d_x = first ? ray_d[1] : second ? ray_d[2] : ray_d[0];
@@ -61,26 +60,13 @@ _START = (
     *(vi*)result = $NOTHING;
     *(vf*)reached = limits;
 
-    // Distance to plane b is b * rcp + near or far.
-    const vf delta = 9.6e-7f * (farthest + extent), tiny = 1.0e-16f * largest;  // 16 u, see wide.py
-    vf rcp[3], near[3], far[3];
-    vi back[3];
-    for (int axis = 0; axis < 3; ++axis) {
-        back[axis] = __builtin_bit_cast(vi, ray_d[axis]) < 0;
-        rcp[axis] = 1.0f / (size[axis] < tiny ? Simd::flip(tiny, ray_d[axis]) : ray_d[axis]);
-        const vf grow = Simd::flip(delta, ray_d[axis]);
-        near[axis] = -(from_c[axis] + grow) * rcp[axis];
-        far[axis] = -(from_c[axis] - grow) * rcp[axis];
-    }
-    for (int number = 0; number < count; ++number) {
-        const float* box = nodes + number;
-        vf enter = 0.0f, leave = *(const vf*)reached;
-        for (int axis = 0; axis < 3; ++axis) {
-            const vf lower = box[2 * axis * $W], upper = box[(2 * axis + 1) * $W];
-            enter = Simd::max(Simd::fma(back[axis] ? upper : lower, rcp[axis], near[axis]), enter);
-            leave = Simd::min(Simd::fma(back[axis] ? lower : upper, rcp[axis], far[axis]), leave);
-        }
-        const float* packet = packets + number * (10 * $W);
+"""
+    + SLABS_IN_ROWS
+    + """    for (int number = 0; number < count; ++number) {
+        vf leave = *(const vf*)reached;
+"""
+    + BOX_IN_ROWS
+    + """        const float* packet = packets + number * (10 * $W);
         for (u32 rest = traced & Simd::mask(enter <= leave); rest; rest &= rest - 1) {
             // One ray after the other, under the names of the texts.
             const int ray = __builtin_ctz(rest);

@@ -237,3 +237,45 @@ NEAREST = """
         if (__builtin_expect((ties & (ties - 1)) != 0, 0))
             n = __builtin_reduce_min(tied ? *(vi*)numbers : vi(0x7fffffff));
 """
+
+# W rays that lie in rows (``lanes.py``), one a lane, and which of them are traced.
+RAYS_IN_ROWS = """
+    vf ray_o[3], ray_d[3], size[3], from_c[3], farthest = 0.0f;
+    for (int axis = 0; axis < 3; ++axis) {
+        ray_o[axis] = *(const row*)(rays + axis * $W);
+        ray_d[axis] = *(const row*)(rays + (3 + axis) * $W);
+        size[axis] = Simd::abs(ray_d[axis]);
+        from_c[axis] = ray_o[axis] - center[axis];
+        farthest = Simd::max(farthest, Simd::abs(from_c[axis]));
+    }
+    const vf limits = *(const row*)(rays + 6 * $W);
+    const vf sum = ray_o[0] + ray_o[1] + ray_o[2] + ray_d[0] + ray_d[1] + ray_d[2];
+    const vf largest = Simd::max(Simd::max(size[0], size[1]), size[2]);
+    const u32 traced = Simd::mask((*(const int_row*)wanted != 0) & (0.0f * sum == 0.0f) & (largest > 0.0f));
+"""
+
+# Their distances to planes; the same operations as those of ``SLABS``.
+SLABS_IN_ROWS = """
+    // Distance to plane b is b * rcp + near or far.
+    const vf delta = 9.6e-7f * (farthest + extent), tiny = 1.0e-16f * largest;  // 16 u, see wide.py
+    vf rcp[3], near[3], far[3];
+    vi back[3];
+    for (int axis = 0; axis < 3; ++axis) {
+        back[axis] = __builtin_bit_cast(vi, ray_d[axis]) < 0;
+        rcp[axis] = 1.0f / (size[axis] < tiny ? Simd::flip(tiny, ray_d[axis]) : ray_d[axis]);
+        const vf grow = Simd::flip(delta, ray_d[axis]);
+        near[axis] = -(from_c[axis] + grow) * rcp[axis];
+        far[axis] = -(from_c[axis] - grow) * rcp[axis];
+    }
+"""
+
+# Where they ``enter`` and ``leave`` the box with a ``number`` in the root; ``leave`` begins as the farthest distance.
+BOX_IN_ROWS = """
+        const float* box = nodes + number;
+        vf enter = 0.0f;
+        for (int axis = 0; axis < 3; ++axis) {
+            const vf lower = box[2 * axis * $W], upper = box[(2 * axis + 1) * $W];
+            enter = Simd::max(Simd::fma(back[axis] ? upper : lower, rcp[axis], near[axis]), enter);
+            leave = Simd::min(Simd::fma(back[axis] ? lower : upper, rcp[axis], far[axis]), leave);
+        }
+"""

@@ -25,6 +25,7 @@ from warp_psdr.kernels.lanes.sweep_lanes import make_lane_sweep
 from warp_psdr.kernels.lanes.sweep_sinks import make_chosen
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.rng import sampler_at
+from warp_psdr.kernels.scattering import samples_lights
 from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
@@ -41,14 +42,14 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
         blocks: the most blocks that a path can have; 1 compiles the replay out.
     """
     if blocks == 1 and side_by_side(config):
-        ways = [make_sweep_of_each]
+        has_lights = samples_lights(config.lights, config.surfaces.bsdfs)
+        ways = [(make_sweep_of_each, has_lights), (make_sweep_of_each, False)]
         if wanted.geometry and is_diffuse(config.surfaces.bsdfs) and not config.surfaces.primitives:
-            ways.insert(0, make_lane_sweep)
+            ways.insert(0, (make_lane_sweep, False))
         elif sweeps_materials(config, wanted):
-            ways.insert(0, make_material_sweep)
-        for make in ways:
-            whole, lit = make is make_lane_sweep, make is make_material_sweep
-            paths = make_lane_paths(config, True, True, kept=block, whole=whole, lit=lit)
+            ways.insert(0, (make_material_sweep, True))
+        for make, lit in ways:
+            paths = make_lane_paths(config, True, True, kept=block, whole=make is make_lane_sweep, lit=lit)
             end, sweep_all = make(config, wanted, paths)
             if end <= ROOM:
                 return _make_lane_kernel(paths, sweep_all, config.through)
@@ -126,7 +127,8 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
 
 def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
     """Return what ``make_lane_sweep`` returns, for paths that are swept one after the other."""
-    sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse")
+    told = paths.radiance is not None
+    sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse", told=told)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     chosen = make_chosen(paths)
 
@@ -154,6 +156,8 @@ def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LaneP
                     vertex = paths.vertex(rows, j, n)
                     if n == 0:
                         vertex.o = camera_origin(scene, camera, sample)
+                    if wp.static(told):
+                        carry.lit = paths.radiance(rows, j, n)
                     carry = sweep(scene, target, vertex, path.delta, carry)
                 if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
                     count_invalid(scene, paths.lane_samples.get(rows, j).sampler)
@@ -193,7 +197,7 @@ def _make_lane_kernel(paths: LanePaths, sweep_all: wp.Function, through: bool):
             bundle.first_sample = job.first_sample + done
             bundle.samples = wp.min(job.samples - done, wp.static(paths.width))
             done += bundle.samples
-            paths.start(scene, camera, job.pixels, bundle, 0, always, rows)
+            paths.start(scene, camera, paths.view(scene, camera), job.pixels, bundle, 0, always, rows)
             n = wp.int32(0)
             alive = wp.int32(1)
             while alive > 0:

@@ -3,7 +3,7 @@
 The vertices of one depth lie side by side, for the sweep alone: a sweep of single paths reads one after the other, and
 a sweep of several paths reads rows. More of a vertex is kept than a single path keeps, because fetching and looking it
 up again took as long as the arithmetic: nearly everything for the sweep of geometry (``lanes/sweep_lanes.py``), and the
-light that arrived for the sweep of materials (``lanes/material_sweep.py``).
+light that arrived for the sweeps of materials (``lanes/material_sweep.py``) and of single paths.
 """
 
 from typing import NamedTuple

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.bvh.each import make_each
+from warp_psdr.kernels.bvh.roots import make_roots
 from warp_psdr.kernels.bvh.wide import RayHit
 from warp_psdr.kernels.camera_rays import Bundle, column_of, make_trace_together, row_of
 from warp_psdr.kernels.invalid import count_invalid
@@ -74,8 +75,9 @@ class LanePaths(NamedTuple):
 
     Attributes:
         width: number of lanes.
-        start: ``(scene, camera, pixels, bundle, first, touched_requested, rows)`` starts the samples of a bundle from
-            the ``first``-th on, and traces their camera rays; ``touched_requested`` as in ``PathState``.
+        view: ``(scene, camera) -> float``, of which ``start`` takes the value.
+        start: ``(scene, camera, view, pixels, bundle, first, touched_requested, rows)`` starts the samples of a bundle
+            from the ``first``-th on, and traces their camera rays; ``touched_requested`` as in ``PathState``.
         step: ``(scene, depth, max_depth, rr_depth, rows) -> int``: one vertex of every path, behind ``depth`` others;
             the number of paths that have another one.
         trace: ``(scene, depth, rows)``, of ``step``: what the rays meet.
@@ -98,6 +100,7 @@ class LanePaths(NamedTuple):
     """
 
     width: int
+    view: wp.Function
     start: wp.Function
     step: wp.Function
     trace: wp.Function
@@ -148,6 +151,7 @@ def make_lane_paths(
     width = config.rays.width
     visibility = visibility_of_meshes(config.rays)
     closest_of_each, any_of_each = make_each(width)
+    enters_root = make_roots(width)
     trace_together = make_trace_together(config.rays)
     view, start_in = make_camera_starts(config, filter_kind)
     scatter, onward = make_scatter(config, differential), make_onward(config, differential)
@@ -197,6 +201,7 @@ def make_lane_paths(
     def start(
         scene: Scene,
         camera: Camera,
+        k: wp.float32,
         pixels: wp.array(dtype=wp.int32),
         bundle: Bundle,
         first: wp.int32,
@@ -224,7 +229,6 @@ def make_lane_paths(
         while j < width:  # the last one once more
             lane_samples.put(rows, j, lane_sample)
             j += 1
-        k = view(scene, camera)
         j = wp.int32(0)
         while j < width:
             lane_sample = lane_samples.get(rows, j)
@@ -262,11 +266,17 @@ def make_lane_paths(
             if scene.accel.below_root > 0:
                 closest_of_each(scene.accel, rows, ray_row, alive_row, hit_row)
             else:
+                entering = enters_root(scene.accel, rows, ray_row, alive_row)
                 j = wp.int32(0)
                 while j < width:
                     state = states.get(rows, j)
                     if state.alive == 1:
-                        hits.put(rows, j, visibility.closest(scene, state.o, state.d, state.t_max))
+                        hit = RayHit()
+                        hit.t = state.t_max
+                        hit.face = wp.int32(-1)
+                        if (entering >> j) & 1 == 1:
+                            hit = visibility.closest(scene, state.o, state.d, state.t_max)
+                        hits.put(rows, j, hit)
                     j += 1
         if wp.static(exact is not None):
             exact.meet(scene, depth, rows)
@@ -326,10 +336,11 @@ def make_lane_paths(
         if scene.accel.below_root > 0:
             any_of_each(scene.accel, rows, shadow_row, look_row, blocked_row)
         else:
+            entering = enters_root(scene.accel, rows, shadow_row, look_row)
             j = wp.int32(0)
             while j < width:
                 shadow = looks.get(rows, j)
-                if shadow.traces_shadow_ray == 1:
+                if shadow.traces_shadow_ray == 1 and (entering >> j) & 1 == 1:
                     event = events.get(rows, j)
                     if visibility.occluded(scene, event.o, event.d, event.t_max):
                         shadow.blocked = 1
@@ -435,4 +446,4 @@ def make_lane_paths(
     kept_parts = (store.vertex, store.record, store.radiance)
     traced = (lane_samples, cameras, sums, states, hits, on_places)
     parts = (trace, scatter_standing, advance)
-    return LanePaths(width, start, step, *parts, gathered, camera_of, *kept_parts, *traced, store.end)
+    return LanePaths(width, view, start, step, *parts, gathered, camera_of, *kept_parts, *traced, store.end)

@@ -185,6 +185,7 @@ def make_trace_waiting(scatter: bool, paths: LanePaths) -> tuple[int, wp.Functio
         paths_out: wp.array(dtype=CameraPath),
     ):
         rows = scene.rows
+        view = paths.view(scene, camera)
         # Those that wait for their vertex behind ``depth`` others, or for the camera's ray.
         depth = wp.int32(-1)
         waiting = wp.int32(bundle.pixels * bundle.samples)
@@ -193,7 +194,7 @@ def make_trace_waiting(scatter: bool, paths: LanePaths) -> tuple[int, wp.Functio
         while front < waiting:
             count = wp.min(waiting - front, width)
             if depth < 0:
-                paths.start(scene, camera, pixels, bundle, front, 0, rows)
+                paths.start(scene, camera, view, pixels, bundle, front, 0, rows)
             else:
                 if wp.static(scatter):
                     take_next(scene, front, count, rows)

@@ -93,11 +93,11 @@ def make_gradient_sink(role: str, kinds: tuple[int, ...], values: bool):
     return accumulate_gradient
 
 
-def make_reader(kinds: tuple[int, ...], rises: bool, primitives: tuple[int, ...]):
-    """Return what reads a value of a material: a texture, or how it ``rises``."""
+def make_reader(kinds: tuple[int, ...], rises: bool, color: bool, primitives: tuple[int, ...]):
+    """Return what reads a value of a material: a texture, or how it ``rises``; ``color`` as of ``make_texture``."""
     if rises:
         return make_gradient(kinds)
-    return make_volume_texture(kinds, primitives) if TEXTURE_GRID in kinds else make_texture(kinds)
+    return make_volume_texture(kinds, primitives) if TEXTURE_GRID in kinds else make_texture(kinds, color)
 
 
 def is_placed(kinds: tuple[int, ...], rises: bool, primitives: tuple[int, ...]) -> bool:

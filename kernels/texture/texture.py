@@ -25,7 +25,7 @@ from warp_psdr.kernels.constants import (
     WRAP_CLAMP,
     WRAP_MIRROR,
 )
-from warp_psdr.kernels.reading import load_float, texture_record
+from warp_psdr.kernels.reading import load_float, load_vec3, texture_record
 from warp_psdr.kernels.sink import make_sink, make_sink_texel
 from warp_psdr.kernels.structs import Scene, Texture
 
@@ -70,10 +70,11 @@ def wrap_index(i: wp.int32, size: wp.int32, mode: wp.int32) -> wp.int32:
 
 @wp.func
 def transform_uv(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.vec2:
-    t = texture.to_uv
+    row0 = load_vec3(scene.values, texture.to_uv)
+    row1 = load_vec3(scene.values, texture.to_uv + 3)
     return wp.vec2(
-        scene.values[t] * uv[0] + scene.values[t + 1] * uv[1] + scene.values[t + 2],
-        scene.values[t + 3] * uv[0] + scene.values[t + 4] * uv[1] + scene.values[t + 5],
+        row0[0] * uv[0] + row0[1] * uv[1] + row0[2],
+        row1[0] * uv[0] + row1[1] * uv[1] + row1[2],
     )
 
 
@@ -125,13 +126,52 @@ def bilinear_dot(
     return wp.dot(w, (1.0 - fy) * ((1.0 - fx) * t00 + fx * t10) + fy * ((1.0 - fx) * t01 + fx * t11))
 
 
+@wp.func_native("""
+#if defined(__clang__) && !defined(__CUDA_ARCH__)
+    #pragma clang fp contract(off)
+    typedef float f3 __attribute__((ext_vector_type(3)));
+    f3 t[4];
+    const int at[4] = {f.i00, f.i10, f.i01, f.i11};
+    for (int i = 0; i < 4; ++i)
+        __builtin_memcpy(&t[i], values.data + at[i], 12);
+    const f3 top = (1.0f - f.fx) * t[0] + f.fx * t[1], bottom = (1.0f - f.fx) * t[2] + f.fx * t[3];
+    const f3 between = (1.0f - f.fy) * top + f.fy * bottom;
+    return wp::vec_t<3, wp::float32>(between.x, between.y, between.z);
+#else
+    wp::vec_t<3, wp::float32> r;
+    for (int i = 0; i < 3; ++i) {
+        const float top = (1.0f - f.fx) * values.data[f.i00 + i] + f.fx * values.data[f.i10 + i];
+        const float bottom = (1.0f - f.fx) * values.data[f.i01 + i] + f.fx * values.data[f.i11 + i];
+        r[i] = (1.0f - f.fy) * top + f.fy * bottom;
+    }
+    return r;
+#endif
+""")
+def bilinear_colors(values: wp.array(dtype=wp.float32), f: Footprint) -> wp.vec3:
+    """Interpolate four texels of three channels, which are a vector each."""
+    return wp.vec3()
+
+
 @wp.func
-def eval_bitmap(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.vec3:
-    f = footprint(scene, texture, uv)
-    n = texture.channels
-    top = (1.0 - f.fx) * texel(scene, f.i00, n) + f.fx * texel(scene, f.i10, n)
-    bottom = (1.0 - f.fx) * texel(scene, f.i01, n) + f.fx * texel(scene, f.i11, n)
+def bilinear_number(values: wp.array(dtype=wp.float32), f: Footprint) -> wp.float32:
+    """Interpolate the first channel of four texels."""
+    top = (1.0 - f.fx) * load_float(values, f.i00) + f.fx * load_float(values, f.i10)
+    bottom = (1.0 - f.fx) * load_float(values, f.i01) + f.fx * load_float(values, f.i11)
     return (1.0 - f.fy) * top + f.fy * bottom
+
+
+@functools.cache
+def _make_bitmap(color: bool):
+    @wp.func
+    def eval_bitmap(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.vec3:
+        f = footprint(scene, texture, uv)
+        if wp.static(color):
+            if texture.channels == 3:
+                return bilinear_colors(scene.values, f)
+        number = bilinear_number(scene.values, f)
+        return wp.vec3(number, number, number)
+
+    return eval_bitmap
 
 
 @wp.func
@@ -155,10 +195,14 @@ def checkerboard_field(scene: Scene, texture: Texture, uv: wp.vec2) -> wp.int32:
 
 
 @functools.cache
-def make_texture(kinds: tuple[int, ...]):
-    """Return ``texture_at(scene, index, face, u, v, uv) -> vec3`` for the texture kinds that a slot uses."""
+def make_texture(kinds: tuple[int, ...], color: bool = True):
+    """Return ``texture_at(scene, index, face, u, v, uv) -> vec3`` for the texture kinds that a slot uses.
+
+    ``color=False``: only the first number of the result is asked for.
+    """
     if TEXTURE_SCALED in kinds:
-        return _make_scaled(kinds)
+        return _make_scaled(kinds, color)
+    eval_bitmap = _make_bitmap(color)
 
     @wp.func
     def texture_at(scene: Scene, index: wp.int32, face: wp.int32, u: wp.float32, v: wp.float32, uv: wp.vec2) -> wp.vec3:
@@ -185,8 +229,8 @@ def make_texture(kinds: tuple[int, ...]):
 
 
 @functools.cache
-def _make_scaled(kinds: tuple[int, ...]):
-    inner = make_texture(tuple(kind for kind in kinds if kind != TEXTURE_SCALED))
+def _make_scaled(kinds: tuple[int, ...], color: bool):
+    inner = make_texture(tuple(kind for kind in kinds if kind != TEXTURE_SCALED), color)
 
     @wp.func
     def scaled_texture_at(

@@ -34,6 +34,7 @@ class Carry:
     """What the sweep hands from a vertex to the one before it."""
 
     radiance: wp.vec3  # L_{n+1}
+    lit: wp.vec3  # radiance of the light that vertex n has drawn, if the sweep is told
     face: wp.int32  # vertex n + 1; -1: it left the scene, -2: there is none
     u: wp.float32
     v: wp.float32
@@ -54,11 +55,12 @@ def make_sweep(
     direct: bool = True,
     links: bool = True,
     before: wp.Function | None = None,
+    told: bool = False,
 ):
     """Return ``(sweep, finish, finish_vertex)``. ``direct=False``: D_n is the caller's to differentiate.
 
     ``links=False``: light points are found by directions that rest, and contacts weigh nothing.
-    ``before``: in place of ``weight_before`` of ``make_contact_weights``.
+    ``before``: in place of ``weight_before`` of ``make_contact_weights``. ``told``: ``Carry.lit`` is set.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
     ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
@@ -190,7 +192,9 @@ def make_sweep(
             if wp.static(has_lights):
                 if vertex.light >= 0:
                     wo = enter_frame(frame, vertex.light_wi)
-                    radiance = radiance_of(scene, vertex, surface.x)
+                    radiance = carry.lit
+                    if wp.static(not told):
+                        radiance = radiance_of(scene, vertex, surface.x)
                     a_direct = a_n
                     a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     if wp.static(transmittance is not None):
