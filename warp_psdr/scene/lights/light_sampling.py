@@ -14,6 +14,8 @@ from warp_psdr.scene.materials.spectra import LUMINANCE
 
 #: Share of all samples that is uniform over the sphere: black regions have derivatives, and light behind corners.
 UNIFORM_SPHERE = 0.05
+#: The same where scattering finds light, too.
+UNIFORM_COMPENSATED = 0.002
 #: What is taken off a map where scattering finds light, too, over its mean: the first that leaves LEAST of its light.
 COMPENSATIONS, LEAST = (1.0, 0.75, 0.5, 0.25), 1.0 / 3.0
 
@@ -105,7 +107,7 @@ def build_env_distribution(data: np.ndarray, compensated: bool = False) -> tuple
     Returns:
         ``marginal`` over the rows of cells, shape ``(H,)``, and ``conditional`` over the cells of each row, shape
         ``(H - 1, W + 1)``; float32. The weight of a cell is the mean luminance of its corners (of one or two channels:
-        their mean) times its solid angle, plus `UNIFORM_SPHERE`.
+        their mean) times its solid angle, plus a uniform share.
 
     Raises:
         ValueError: wrong shape, or a texel is NaN or infinite.
@@ -134,7 +136,8 @@ def build_env_distribution(data: np.ndarray, compensated: bool = False) -> tuple
                 weights, total = left, left.sum()
                 break
     if total > 0.0:
-        weights = (1.0 - UNIFORM_SPHERE) * weights / total + UNIFORM_SPHERE * uniform
+        share = UNIFORM_COMPENSATED if compensated else UNIFORM_SPHERE
+        weights = (1.0 - share) * weights / total + share * uniform
     else:
         weights = uniform
     return cumulative(weights.sum(axis=1)), cumulative(weights)
