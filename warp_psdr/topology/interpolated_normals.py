@@ -13,6 +13,7 @@ from warp_psdr.scene.shapes.shading import normals_at_corners, vertex_normals
 from warp_psdr.topology.camera_view import CameraView, camera_view
 from warp_psdr.topology.edges import COPLANAR, normal_columns
 from warp_psdr.topology.film_edges import scatters
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -28,9 +29,9 @@ def bend(scene: Scene) -> np.ndarray:
     Kept as long as the vertices and the normals stay.
     """
     now = [scene.points, *(normals for _, normals in vertex_normals(scene))]
-    kept = getattr(scene, "_bend", None)
-    if kept is not None and all(map(np.array_equal, kept[0], now)):
-        return kept[1]
+    before = getattr(scene, "_bend", None)
+    if before is not None and all(map(np.array_equal, before[0], now)):
+        return before[1]
     sines = np.zeros(scene.face_count)
     for rows, normal, at in normals_at_corners(scene):
         a, b, c = (columns.length(columns.cross(corner, normal)) for corner in at)
@@ -49,6 +50,10 @@ def interpolated_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None
 
     The third result is the mean of their bend (a sine).
     """
+    return kept(scene, "interpolated_choice", lambda: _interpolated_choice(scene))
+
+
+def _interpolated_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | None:
     sines = bend(scene)
     faces = np.flatnonzero(sines > COPLANAR)
     if not len(faces):
@@ -71,6 +76,13 @@ def terminator_faces(
         shapes: the shapes that move.
         camera_moves: a parameter of the camera is differentiated.
     """
+    key = ("terminator_faces", sensor, frozenset(shapes), camera_moves)
+    return kept(scene, key, lambda: _terminator_faces(scene, sensor, shapes, camera_moves))
+
+
+def _terminator_faces(
+    scene: Scene, sensor: int, shapes: set[int], camera_moves: bool
+) -> tuple[wp.array, wp.array] | None:
     values = scene.values.numpy()
     points = columns.of(scene.points)
     view = camera_view(scene, sensor)

@@ -10,6 +10,7 @@ import warp as wp
 from warp_psdr.topology.contacts import along_sides
 from warp_psdr.topology.edges import moving_edges, scene_adjacency, sides_of, upload
 from warp_psdr.topology.outermost import outermost_edges
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.boundary.local_form import Edges
@@ -27,12 +28,16 @@ def secondary_edges(scene: Scene, shapes: set[int]) -> Edges | None:
         scene: the scene.
         shapes: the shapes that move.
     """
-    keep, p = secondary_candidates(scene, shapes)
-    if not len(keep):
-        return None
-    found = upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
-    set_beside(scene, found, scene_adjacency(scene), keep)
-    return found
+
+    def find() -> Edges | None:
+        keep, p = secondary_candidates(scene, shapes)
+        if not len(keep):
+            return None
+        found = upload(scene, scene_adjacency(scene), keep, p, np.zeros(len(keep)), np.ones(len(keep)))
+        set_beside(scene, found, scene_adjacency(scene), keep)
+        return found
+
+    return kept(scene, ("secondary_edges", frozenset(shapes)), find)
 
 
 def secondary_candidates(scene: Scene, shapes: set[int]) -> tuple[np.ndarray, np.ndarray]:
