@@ -106,10 +106,10 @@ def test_environment_samples_follow_their_density(name, compensated, device):
     np.testing.assert_allclose(s.radiance, radiance, rtol=2e-3, atol=2e-4 * max(data.max(), 1e-9))
 
 
-@pytest.mark.parametrize(("name", "noise"), [("random", 0.45), ("sun", 0.3), ("sun at the zenith", 0.6)])
+@pytest.mark.parametrize(("name", "noise"), [("random", 0.4), ("sun", 0.25), ("sun at the zenith", 0.2)])
 def test_environment_estimates_are_unbiased_and_quiet(name, noise):
     data = MAPS[name]()
-    directions, area = cell_quadrature(*data.shape[:2], parts=2, points=8)
+    directions, area = cell_quadrature(*data.shape[:2], parts=2, points=32)
     light = envmap(data)
     radiance, _ = light.evaluate(directions.reshape(-1, 3) @ ROTATION.T)
     exact = (radiance.mean(axis=1, dtype=np.float64) * area.ravel()).sum()
@@ -167,8 +167,8 @@ def test_compensated_maps_lose_their_mean_where_enough_is_left():
     plain, compensated = shares(sky, False), shares(sky, True)
     dim = np.ones_like(plain, bool)
     dim[4:6, 6:8] = False
-    assert compensated[~dim].sum() == pytest.approx(0.95, abs=0.01)
-    assert compensated[dim].sum() == pytest.approx(UNIFORM_COMPENSATED, abs=0.01) and compensated.min() > 0.0
+    assert compensated[~dim].sum() == pytest.approx(1.0 - UNIFORM_COMPENSATED, abs=0.001)
+    assert compensated[dim].sum() == pytest.approx(UNIFORM_COMPENSATED, abs=0.001) and compensated.min() > 0.0
     assert plain[dim].sum() > 2.0 * compensated[dim].sum()
     overcast = np.random.default_rng(3).uniform(0.95, 1.05, (16, 32, 3))
     flat, left = shares(overcast, False), shares(overcast, True)
