@@ -75,7 +75,10 @@ DEVICE_RULES = (
     ({"primal", "splat", "trace", "camera_rays", "lanes", "interior"}, {"boundary"}),
 )
 #: A scene's record holds the handle of its ray structure; bundles of rays are made of the records of lanes.
-DEVICE_EXCEPTIONS = {("structs", "bvh.wide"), ("bvh.bundle", "lanes.lanes"), ("bvh.each", "lanes.lanes")}
+DEVICE_EXCEPTIONS = {
+    ("structs", "bvh.wide"),
+    *((rays, "lanes.lanes") for rays in ("bvh.bundle", "bvh.each", "bvh.roots")),
+}
 
 #: Factories with a wide signature, which one that chooses among several calls like the others (``interior.replay``).
 ONE_OF_SEVERAL = {"make_material_sweep"}

@@ -15,8 +15,8 @@ from warp_psdr.kernels.rng import UNIT
 from warp_psdr.kernels.structs import Scene, Texture
 from warp_psdr.kernels.texture.texture import texel
 
-#: Share of the samples within a cell that is uniform: bounds what a black texel's derivative is divided by. Its variance
-#: grows as the logarithm of the inverse where a side of the cell is black, and that of images with the share.
+#: Share of the samples within a cell that is uniform: bounds what a black texel's derivative is divided by. Where a
+#: side of a cell is black, its variance grows as the logarithm of the inverse; that of images grows with the share.
 UNIFORM_CELL = 0.01
 
 

@@ -288,7 +288,7 @@ def slope_of(name, parameter, method, step, *, batches, spp):
 
 
 def test_slope_of_finite_differences():
-    slope, noise = slope_of("ball", ALPHA, ATTACHED, 0.01, batches=20, spp=64)
+    slope, noise = slope_of("ball", ALPHA, ATTACHED, 0.01, batches=32, spp=64)
     assert noise < SLOPE / 2.0
     assert abs(slope - 1.0) < SLOPE + 2.0 * noise
 

@@ -59,7 +59,8 @@ file = MATERIALS[case].write(folder, case) if case in MATERIALS else ROOT / "sce
 scene = psdr.load_file(file, resolution=16)
 ends = ("vertex_positions",) if what == "motion" else ()
 names = [n for n in scene.parameters if n.endswith(ends) or (not ends and ".bsdf." in n and not n.endswith("to_uv"))]
-plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, sampler="sobol", boundary=None, interior=psdr.interior.Replay()))
+integrator = psdr.PathIntegrator(max_depth=6, sampler="sobol", boundary=None, interior=psdr.interior.Replay())
+plan = psdr.plan(scene, names=names, integrator=integrator)
 kernel = make_primal_kernel(plan.config) if what == "image" else passes.camera_gradient_kernels(plan, "reverse")[0]
 wp.load_module(kernel.module, device="cpu")
 """

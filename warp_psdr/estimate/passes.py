@@ -256,7 +256,7 @@ def interior_backward(
             kind="interior",
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
-            fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+            fields=_fields(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
             reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
             share=draw.share,
         )
@@ -289,7 +289,7 @@ def interior_forward(
             kind="interior",
             progress=part(progress, i / len(kernels), 1.0 / len(kernels)),
             listed=pixels,
-            fields=_patches(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
+            fields=_fields(scene, plan) | {"requested_shapes": _mask(scene, plan.shapes)},
             reads=[*_gates(plan), *(_read(scene, plan) if i == 0 else [])],
             share=draw.share,
         )
@@ -307,9 +307,12 @@ def _interior(plan: Plan, draw: Draw, seed: int, weight: float) -> PixelSamples:
     )
 
 
-def _patches(scene: Scene, plan: Plan) -> dict[str, wp.array]:
-    """Return ``structs.Scene.radii``, if geometry is differentiated."""
-    return {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
+def _fields(scene: Scene, plan: Plan) -> dict[str, wp.array]:
+    """Return fields of ``structs.Scene``: ``radii``, if geometry is differentiated, and cells of environment maps."""
+    fields = {"radii": patch_radii(scene)} if plan.wanted is not None and plan.wanted.geometry else {}
+    if plan.interior is not None and not plan.interior.compensated:
+        fields["env_marginal"], fields["env_conditional"] = scene.lights.cells(False)
+    return fields
 
 
 def camera_gradient_kernels(plan: Plan, role: str) -> list[wp.Kernel]:

@@ -80,6 +80,7 @@ class Row:
         whole_in: (scene, requested names, sensor) -> whether that holds there.
         film: (method, config) -> whether edges that the camera sees have a term beside it, of those that are whole.
         reads: (scene, which derivatives, what is kept) -> what the kernel reads of the scene besides its record.
+        compensated: whether environment maps are drawn with MIS compensation.
     """
 
     label: str
@@ -91,6 +92,7 @@ class Row:
     whole_in: Callable[[Scene, list[str], int], bool] = lambda *_arguments: True
     film: Callable[[interior.Method, PathConfig], bool] = lambda _method, _config: False
     reads: Callable[[Scene, GradientRequest, Kept], list] = lambda *_arguments: []
+    compensated: bool = True
 
 
 def row_of(method: interior.Method, term: boundary.Method | None) -> Row:
@@ -233,6 +235,8 @@ TABLE: dict[tuple[type[interior.Method], type[boundary.Method]], Row] = {
         keep=_keep_attached,
         kernels=_attached,
         refuse_in=refused_by_attached,
+        # It differentiates the weights of both techniques, too, which change quickly where one hardly looks.
+        compensated=False,
     ),
     (interior.Decomposed, boundary.Method): Row(
         label="decomposed branches, record and sweep",
