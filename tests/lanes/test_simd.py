@@ -20,8 +20,7 @@ SCALAR = {
     "make_lane_paths.trace": "a ray walks a tree",
     "make_lane_paths.look": "the same",
     "make_place_lanes.collect": "few rays meet a light",
-    "make_keep_lanes.put": "a vertex is a record of its own",
-    "make_kept_lanes.put": "the same",
+    "make_kept_lanes.put": "a vertex is a record of its own",
     "make_material_sweep.begin_sweep": "paths are chosen one by one",
     "make_lane_sweep.begin_sweep": "the same",
 }
