@@ -6,7 +6,7 @@ incidence, at grazing angles, at equal indices, and for a perfect mirror (eta = 
 
 import warp as wp
 
-from warp_psdr.kernels.math import at_least, at_most, safe_sqrt
+from warp_psdr.kernels.math import at_least, at_most, safe_sqrt, where_number
 
 #: Floor of the squared modulus of eta'^2 - sin^2 (conductor). The reflectance has a root singularity where that is 0
 #: (the critical angle of a lossless medium): there the floor puts derivative 0 in place of infinity, and keeps a or b,
@@ -28,13 +28,13 @@ def fresnel_conductor(c: wp.float32, eta: wp.float32, k: wp.float32) -> wp.float
     incidence) and near 1 (at grazing angles).
     """
     sin2 = (1.0 - c) * (1.0 + c)
-    x = wp.where(eta < 0.5, eta * eta - sin2, (eta - 1.0) * (eta + 1.0) + c * c) - k * k
+    x = where_number(eta < 0.5, eta * eta - sin2, (eta - 1.0) * (eta + 1.0) + c * c) - k * k
     half_y = eta * k
     modulus = wp.sqrt(at_least(MIN_SQUARED_MODULUS, x * x + 4.0 * half_y * half_y))
     larger = wp.sqrt(0.5 * (modulus + wp.abs(x)))
     smaller = half_y / larger
-    a = wp.where(x < 0.0, smaller, larger)
-    b = wp.where(x < 0.0, larger, smaller)
+    a = where_number(x < 0.0, smaller, larger)
+    b = where_number(x < 0.0, larger, smaller)
     r_s = ((c - a) * (c - a) + b * b) / ((c + a) * (c + a) + b * b)
     p_minus = a * c - sin2
     p_plus = a * c + sin2
@@ -57,7 +57,7 @@ def index_behind(ior: wp.float32, z: wp.float32) -> wp.float32:
 
     ``ior`` is the index below (z < 0) over the one above.
     """
-    return wp.where(z < 0.0, 1.0 / ior, ior)
+    return where_number(z < 0.0, 1.0 / ior, ior)
 
 
 @wp.func
@@ -76,17 +76,16 @@ def fresnel_dielectric(c: wp.float32, g: wp.float32, eta: wp.float32) -> wp.floa
     r_s = (c - g) / (c + g) and r_p = (eta^2 c - g) / (eta^2 c + g), both expanded by their denominators: eta^2 - 1 then
     stands as a factor, and equal indices give exactly zero.
     """
-    reflectance = wp.float32(1.0)
-    if g > 0.0:
-        contrast = (eta - 1.0) * (eta + 1.0)
-        eta2 = eta * eta
-        s = c + g
-        p = eta2 * c + g
-        r_s = contrast / (s * s)
-        r_p = contrast * (c * c * (eta2 + 1.0) - 1.0) / (p * p)
-        # At grazing angles it exceeds 1 by rounding, and what is transmitted would be negative.
-        reflectance = at_most(1.0, 0.5 * (r_s * r_s + r_p * r_p))
-    return reflectance
+    passes = g > 0.0
+    behind = where_number(passes, g, 1.0)
+    contrast = (eta - 1.0) * (eta + 1.0)
+    eta2 = eta * eta
+    s = c + behind
+    p = eta2 * c + behind
+    r_s = contrast / (s * s)
+    r_p = contrast * (c * c * (eta2 + 1.0) - 1.0) / (p * p)
+    # At grazing angles it exceeds 1 by rounding, and what is transmitted would be negative.
+    return where_number(passes, at_most(1.0, 0.5 * (r_s * r_s + r_p * r_p)), 1.0)
 
 
 @wp.func
@@ -117,9 +116,8 @@ def coat_reflectance_by_index(c: wp.float32, eta: wp.float32) -> wp.float32:
 def coat_transmittance(c: wp.float32, eta: wp.float32) -> wp.float32:
     """Transmittance of a smooth interface at the cosine ``c``: 1 - F without the difference, which cancels."""
     g = refracted_cosine(c, eta)
-    transmittance = wp.float32(0.0)
-    if g > 0.0:
-        s = c + g
-        p = eta * eta * c + g
-        transmittance = 2.0 * c * g * (1.0 / (s * s) + eta * eta / (p * p))
-    return transmittance
+    passes = g > 0.0
+    behind = where_number(passes, g, 1.0)
+    s = c + behind
+    p = eta * eta * c + behind
+    return where_number(passes, 2.0 * c * behind * (1.0 / (s * s) + eta * eta / (p * p)), 0.0)

@@ -16,34 +16,40 @@ PARALLEL = 1.0e-12
 LOG_SERIES, EXP_SERIES = 0.1, 0.5
 
 
-@wp.func
+@wp.func_native(
+    "return condition ? a : b;",
+    "adj_a += condition ? adj_ret : 0.0f;\nadj_b += condition ? 0.0f : adj_ret;",
+)
 def where_number(condition: wp.bool, a: wp.float32, b: wp.float32) -> wp.float32:
-    return wp.where(condition, a, b)
+    """``wp.where``, whose adjoint does not branch, either: loops over lanes stay SIMD (``lanes.py``)."""
+    return wp.float32(0.0)
 
 
 @wp.func
 def where3(condition: wp.bool, a: wp.vec3, b: wp.vec3) -> wp.vec3:
     """One of two vectors, component by component: no branch in a loop over lanes (``lanes.py``)."""
-    return wp.vec3(wp.where(condition, a[0], b[0]), wp.where(condition, a[1], b[1]), wp.where(condition, a[2], b[2]))
+    return wp.vec3(
+        where_number(condition, a[0], b[0]), where_number(condition, a[1], b[1]), where_number(condition, a[2], b[2])
+    )
 
 
 @wp.func
 def unit_vector(w: wp.vec3) -> wp.vec3:
     """``w`` over its length, or 0 as it is: ``wp.normalize`` without its branch."""
     length = wp.length(w)
-    return w / wp.where(length > 0.0, length, 1.0)
+    return w / where_number(length > 0.0, length, 1.0)
 
 
 @wp.func
 def at_least(low: wp.float32, x: wp.float32) -> wp.float32:
     """The greater of the two, with ``x``'s derivative in a tie: adjoints of ``wp.max`` branch, and are no SIMD."""
-    return wp.where(x < low, low, x)
+    return where_number(x < low, low, x)
 
 
 @wp.func
 def at_most(high: wp.float32, x: wp.float32) -> wp.float32:
     """The lesser of the two, with ``x``'s derivative in a tie."""
-    return wp.where(x > high, high, x)
+    return where_number(x > high, high, x)
 
 
 @wp.func
@@ -59,27 +65,25 @@ def log_ratio(x: wp.float32) -> wp.float32:
     z2 = z * z
     series = 2.0 / (2.0 + x) * (1.0 + z2 * (1.0 / 3.0 + z2 * (0.2 + z2 / 7.0)))
     near = wp.abs(x) < LOG_SERIES
-    far = wp.where(near, 1.0, x)
-    return wp.where(near, series, wp.log(1.0 + far) / far)
+    far = where_number(near, 1.0, x)
+    return where_number(near, series, wp.log(1.0 + far) / far)
 
 
 @wp.func
 def exp_ratio(x: wp.float32) -> wp.float32:
     """(exp(x) - 1) / x, which has no pole."""
     near = wp.abs(x) < EXP_SERIES
-    z = wp.where(near, x, 0.0)
+    z = where_number(near, x, 0.0)
     series = 1.0 + z / 2.0 * (1.0 + z / 3.0 * (1.0 + z / 4.0 * (1.0 + z / 5.0 * (1.0 + z / 6.0 * (1.0 + z / 7.0)))))
-    far = wp.where(near, 1.0, x)
-    return wp.where(near, series, (wp.exp(far) - 1.0) / far)
+    far = where_number(near, 1.0, x)
+    return where_number(near, series, (wp.exp(far) - 1.0) / far)
 
 
 @wp.func
 def safe_sqrt(x: wp.float32) -> wp.float32:
     """Square root; 0 with derivative 0 for ``x`` at and below zero."""
-    root = wp.float32(0.0)
-    if x > TINY:
-        root = wp.sqrt(x)
-    return root
+    positive = x > TINY
+    return where_number(positive, wp.sqrt(where_number(positive, x, 1.0)), 0.0)
 
 
 @wp.func
@@ -99,7 +103,7 @@ def any_tangent(n: wp.vec3) -> wp.vec3:
     [Duff et al. 2017, Building an Orthonormal Basis, Revisited.] It turns by a finite angle across ``n.z = 0``: use it
     where the model is isotropic.
     """
-    sign = wp.where(n[2] >= 0.0, 1.0, -1.0)
+    sign = where_number(n[2] >= 0.0, 1.0, -1.0)
     a = -1.0 / (sign + n[2])
     return wp.vec3(1.0 + sign * n[0] * n[0] * a, sign * n[0] * n[1] * a, -sign * n[0])
 
@@ -113,7 +117,7 @@ def aligned_tangent(n: wp.vec3, tangent: wp.vec3) -> wp.vec3:
     across = tangent - n * wp.dot(n, tangent)
     squared = wp.dot(across, across)
     parallel = squared <= PARALLEL * wp.dot(tangent, tangent)
-    return where3(parallel, any_tangent(n), across / wp.sqrt(wp.where(parallel, 1.0, squared)))
+    return where3(parallel, any_tangent(n), across / wp.sqrt(where_number(parallel, 1.0, squared)))
 
 
 @wp.func
@@ -150,11 +154,11 @@ def refract_local(wi: wp.vec3, g: wp.float32, eta: wp.float32) -> wp.vec3:
     ``eta`` is the index of refraction behind the plane over the one on the side of ``wi``, and
     ``g = sqrt(eta^2 - 1 + wi.z^2)``, which is ``eta`` times the cosine on the other side (see ``fresnel.py``).
     """
-    return wp.vec3(-wi[0], -wi[1], wp.where(wi[2] < 0.0, g, -g)) / eta
+    return wp.vec3(-wi[0], -wi[1], where_number(wi[2] < 0.0, g, -g)) / eta
 
 
 @wp.func
 def share_of_turn(y: wp.float32, x: wp.float32) -> wp.float32:
     """The angle of (x, y) as a share of a turn, in [0, 1)."""
     t = wp.atan2(y, x) * INV_TWO_PI
-    return wp.min(wp.where(t < 0.0, t + 1.0, t), 0.9999999)
+    return wp.min(where_number(t < 0.0, t + 1.0, t), 0.9999999)

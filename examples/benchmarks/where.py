@@ -32,6 +32,8 @@ ALL = {**MATERIALS, **CASES}
 WHATS = ("image", "gradient")
 #: Samples of the processor a second; samples a pixel; processor seconds that are looked at.
 RATE, SPP, SECONDS = 1999, 16, 10.0
+#: Runs before: the second gradient by the same numbers compares methods (``interior="auto"``).
+WARM = 3
 #: Files whose factories' functions are phases.
 PHASES = ("lanes", "bvh", "interior")
 #: What is a phase beside: generated functions, and structs of the ray queries, which are C++ texts; and what is none.
@@ -169,14 +171,15 @@ def main() -> None:
         for case in options.cases:
             for what in options.what:
                 run = runner(case, what, folder)
-                run(0)
+                for seed in range(WARM):
+                    run(seed)
                 command = ["perf", "record", "-q", "-F", str(RATE), "-e", "cpu-clock", "-p", str(os.getpid())]
                 perf = subprocess.Popen([*command, "-o", str(folder / "record")])
                 time.sleep(1.0)
                 start, runs = time.process_time(), 0
                 while time.process_time() - start < (2.0 if options.quick else SECONDS):
                     runs += 1
-                    run(runs)
+                    run(WARM + runs)
                 used = (time.process_time() - start) / runs
                 perf.send_signal(signal.SIGINT)
                 perf.wait()

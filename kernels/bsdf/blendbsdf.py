@@ -94,7 +94,6 @@ def make_blend(record: type, _variant: str, children: tuple[Child, ...]) -> Func
         slopes=_make_slopes(record, a, b),
         normal=_make_normal(record, a, b),
         branches=a.own.branches or b.own.branches,
-        branches_back=a.own.branches_back or b.own.branches_back,
     )
 
 

@@ -14,6 +14,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child, Composite
 from warp_psdr.kernels.bsdf.frame_map import BEHIND, FLIP, SHADOW, make_frame_map, refuse_frame_map
 from warp_psdr.kernels.bsdf.model import METRIC, Functions, HeightTexture, Measured, PlainNumber
+from warp_psdr.kernels.math import where_number
 
 
 def make_bumped_normal(record: type) -> wp.Function:
@@ -25,9 +26,9 @@ def make_bumped_normal(record: type) -> wp.Function:
         c = mat.metric[2]
         # Texture coordinates that do not span the surface tell no slope.
         spans = a != 0.0 and c != 0.0
-        g_u = mat.scale * mat.heights[0] / wp.where(spans, a, 1.0)
-        g_v = (mat.scale * mat.heights[1] - mat.metric[1] * g_u) / wp.where(spans, c, 1.0)
-        n = wp.vec3(wp.where(spans, -g_u, 0.0), wp.where(spans, -g_v, 0.0), 1.0)
+        g_u = mat.scale * mat.heights[0] / where_number(spans, a, 1.0)
+        g_v = (mat.scale * mat.heights[1] - mat.metric[1] * g_u) / where_number(spans, c, 1.0)
+        n = wp.vec3(where_number(spans, -g_u, 0.0), where_number(spans, -g_v, 0.0), 1.0)
         return n / wp.sqrt(wp.dot(n, n))
 
     return bumped_normal

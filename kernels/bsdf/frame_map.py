@@ -22,7 +22,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child
 from warp_psdr.kernels.bsdf.model import Flag, Functions
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_NULL
-from warp_psdr.kernels.math import aligned_tangent, at_least, to_local, to_world, where3
+from warp_psdr.kernels.math import aligned_tangent, at_least, to_local, to_world, where3, where_number
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 FLIP = Flag("flip_invalid_normals", True)
@@ -72,7 +72,7 @@ def bump_shadowing(n: wp.vec3, wo: wp.vec3) -> wp.float32:
 @wp.func
 def agree(a: wp.float32, b: wp.float32) -> wp.float32:
     """One where two cosines have the same sign, else 0."""
-    return wp.where(a * b > 0.0, 1.0, 0.0)
+    return where_number(a * b > 0.0, 1.0, 0.0)
 
 
 def make_frame_map(
@@ -97,7 +97,7 @@ def make_frame_map(
         n = normal_of(mat)
         n = wp.vec3(wp.static(across) * n[0], wp.static(across) * n[1], n[2])
         if wp.static(flips):
-            turned = wp.where(wi[2] * wp.dot(wi, n) <= 0.0, -1.0, 1.0)
+            turned = where_number(wi[2] * wp.dot(wi, n) <= 0.0, -1.0, 1.0)
             n = wp.vec3(turned * n[0], turned * n[1], n[2])
         return frame_around(n)
 
@@ -149,8 +149,8 @@ def make_frame_map(
         drawn = pdf > 0.0
         s.wo = where3(drawn, wo, wp.vec3(0.0, 0.0, 0.0))
         s.value = where3(drawn, value, wp.vec3(0.0, 0.0, 0.0))
-        s.pdf = wp.where(drawn, pdf, 0.0)
-        s.eta = wp.where(drawn, s.eta, 1.0)
+        s.pdf = where_number(drawn, pdf, 0.0)
+        s.eta = where_number(drawn, s.eta, 1.0)
         s.lobe = wp.where(drawn, s.lobe, LOBE_NONE)
         return s
 
@@ -171,7 +171,6 @@ def make_frame_map(
         relative_eta=frame_map_relative_eta if nested.own.relative_eta is not None else None,
         normal=frame_map_normal,
         branches=nested.own.branches,
-        branches_back=True,
     )
 
 

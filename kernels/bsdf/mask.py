@@ -10,7 +10,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child, Composite, split_key
 from warp_psdr.kernels.bsdf.model import Functions, Number, key_of
 from warp_psdr.kernels.constants import LOBE_NULL, LOBE_SMOOTH, ONE_MINUS_EPSILON
-from warp_psdr.kernels.math import clamp_unit, where3
+from warp_psdr.kernels.math import clamp_unit, where3, where_number
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
 #: Name of the variant that draws both lobes whatever the opacity is, and the least probability of either there.
@@ -43,7 +43,7 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
     def mask_scatter(mat: record, wi: wp.vec3, lobe: wp.int32) -> Scattered:
         """Direction and weight of a delta lobe; differentiable."""
         o = clamp_unit(mat.opacity)
-        passed = wp.where(lobe == LOBE_NULL, 1.0 - o, 0.0)
+        passed = where_number(lobe == LOBE_NULL, 1.0 - o, 0.0)
         value = wp.vec3(passed, passed, passed)
         wo = -wi
         if wp.static(delta):
@@ -56,7 +56,7 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
     def mask_probability(mat: record, wi: wp.vec3, lobe: wp.int32) -> wp.float32:
         """Probability of a delta lobe."""
         q = nested_share(mat)
-        probability = wp.where(lobe == LOBE_NULL, 1.0 - q, 0.0)
+        probability = where_number(lobe == LOBE_NULL, 1.0 - q, 0.0)
         if wp.static(delta):
             probability += q * (nested.sends(lobe) * nested.probability(mat, wi, lobe))
         return probability
@@ -66,16 +66,16 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
         """Ask the nested model with the rest of ``u``, or go straight on."""
         q = nested_share(mat)
         inner = u < q
-        s = nested.sample(mat, wi, wp.min(u / wp.where(inner, q, 1.0), ONE_MINUS_EPSILON), v)
+        s = nested.sample(mat, wi, wp.min(u / where_number(inner, q, 1.0), ONE_MINUS_EPSILON), v)
         s.lobe = wp.where(inner, s.lobe, LOBE_NULL)
-        s.eta = wp.where(inner, s.eta, 1.0)
+        s.eta = where_number(inner, s.eta, 1.0)
         s.wo = where3(inner, s.wo, -wi)
         if wp.static(smooth):
             passed = s.lobe == LOBE_SMOOTH
-            s.pdf = wp.where(passed, mask_pdf(mat, wi, s.wo), s.pdf)
+            s.pdf = where_number(passed, mask_pdf(mat, wi, s.wo), s.pdf)
             s.value = where3(passed, mask_eval(mat, wi, s.wo), s.value)
         single = s.lobe > LOBE_SMOOTH
-        s.pdf = wp.where(single, mask_probability(mat, wi, s.lobe), s.pdf)
+        s.pdf = where_number(single, mask_probability(mat, wi, s.lobe), s.pdf)
         s.value = where3(single, mask_scatter(mat, wi, s.lobe).value, s.value)
         return s
 
@@ -89,7 +89,6 @@ def make_mask(record: type, variant: str, children: tuple[Child, ...]) -> Functi
         slopes=nested.slopes if nested.own.slopes is not None else None,
         normal=nested.normal if nested.own.normal is not None else None,
         branches=nested.own.branches,
-        branches_back=nested.own.branches_back,
     )
 
 

@@ -13,7 +13,7 @@ import warp as wp
 
 from warp_psdr.kernels.constants import INV_PI
 from warp_psdr.kernels.exponentials import exponential, inverse_erf, logarithm, scaled_erfc
-from warp_psdr.kernels.math import at_least, at_most, unit_vector, where3
+from warp_psdr.kernels.math import at_least, at_most, unit_vector, where3, where_number
 from warp_psdr.kernels.sampling import square_to_disk
 
 #: Smallest roughness: narrower lobes are the business of ``conductor``, and float32 directions do not resolve them.
@@ -181,14 +181,13 @@ def make_reflection(distribution: str) -> Reflection:
 @wp.func
 def refraction_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
     h = wi + eta * wo
-    turned = wp.where(h[2] < 0.0, -1.0, 1.0)
+    turned = where_number(h[2] < 0.0, -1.0, 1.0)
     squared = wp.dot(h, h)
     seen = turned * wp.dot(wi, h)
-    cosine = wp.float32(0.0)
-    if squared > MIN_HALF and wp.abs(h[2]) > MIN_COSINE and seen > 0.0 and turned * wp.dot(wo, h) < 0.0:
-        # It exceeds 1 by rounding.
-        cosine = at_most(1.0, seen / wp.sqrt(squared))
-    return cosine
+    upright = squared > MIN_HALF and wp.abs(h[2]) > MIN_COSINE
+    between = upright and seen > 0.0 and turned * wp.dot(wo, h) < 0.0
+    # It exceeds 1 by rounding.
+    return where_number(between, at_most(1.0, seen / wp.sqrt(where_number(between, squared, 1.0))), 0.0)
 
 
 @wp.struct
@@ -203,7 +202,7 @@ class HalfVector:
 def interface_cosine(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> wp.float32:
     above = wo[2] > 0.0
     h = wi + or_upright(above, wo)
-    return wp.where(above, 0.5 * wp.sqrt(wp.dot(h, h)), refraction_cosine(wi, wo, eta))
+    return where_number(above, 0.5 * wp.sqrt(wp.dot(h, h)), refraction_cosine(wi, wo, eta))
 
 
 @wp.func
@@ -213,15 +212,15 @@ def interface_half_vector(wi: wp.vec3, wo: wp.vec3, eta: wp.float32) -> HalfVect
     reflected = half_slope(wi, or_upright(above, wo))
     i = where3(above, wp.vec3(0.0, 0.0, 1.0), wi)
     o = where3(above, wp.vec3(0.0, 0.0, -1.0), wo)
-    h = i + wp.where(above, 0.5, eta) * o
+    h = i + where_number(above, 0.5, eta) * o
     squared = wp.dot(h, h)
     result = HalfVector()
     result.slope = wp.vec2(
-        wp.where(above, reflected[0], h[0] / h[2]),
-        wp.where(above, reflected[1], h[1] / h[2]),
+        where_number(above, reflected[0], h[0] / h[2]),
+        where_number(above, reflected[1], h[1] / h[2]),
     )
     through = (wp.abs(wp.dot(i, h)) / squared) * (wp.abs(wp.dot(o, h)) / squared)
-    result.jacobian = wp.where(above, 0.25, through)
+    result.jacobian = where_number(above, 0.25, through)
     return result
 
 
@@ -255,7 +254,7 @@ def make_rough_interface(distribution: str) -> Interface:
         wi: wp.vec3, wo: wp.vec3, eta: wp.float32, alpha_u: wp.float32, alpha_v: wp.float32
     ) -> wp.float32:
         area = projected_area(wi[2], squared_tangent_part(wi, alpha_u, alpha_v))
-        scale = wp.where(wo[2] > 0.0, 1.0, eta * eta)
+        scale = where_number(wo[2] > 0.0, 1.0, eta * eta)
         return interface_normals(interface_half_vector(wi, wo, eta), alpha_u, alpha_v) * (scale / area)
 
     return Interface(interface_cosine, interface_value, interface_pdf)
@@ -304,7 +303,7 @@ def _ggx_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
 
 @wp.func
 def _beckmann_ndf(t: wp.float32, inv_cos2: wp.float32) -> wp.float32:
-    return wp.where(t < BECKMANN_CUTOFF, INV_PI * exponential(-t) * inv_cos2 * inv_cos2, 0.0)
+    return where_number(t < BECKMANN_CUTOFF, INV_PI * exponential(-t) * inv_cos2 * inv_cos2, 0.0)
 
 
 @wp.func
@@ -312,9 +311,9 @@ def _beckmann_smith_over_cos(z: wp.float32, r2: wp.float32) -> wp.float32:
     # Unmasked is also the normal direction, r = 0, where the root of r2 has no derivative. The minimum closes the gap
     # of 6e-5 that the published coefficients leave between the two pieces.
     masked = z * z < wp.static(BECKMANN_UNMASKED**2) * r2
-    r = wp.sqrt(wp.where(masked, r2, 1.0))
+    r = wp.sqrt(where_number(masked, r2, 1.0))
     fit = (3.535 * r + 2.181 * z) / (r * r + 2.276 * z * r + 2.577 * z * z)
-    return wp.where(masked, at_most(1.0 / z, fit), 1.0 / z)
+    return where_number(masked, at_most(1.0 / z, fit), 1.0 / z)
 
 
 @wp.func
@@ -322,14 +321,14 @@ def visible_below(x: wp.float32, z: wp.float32, r: wp.float32) -> wp.float32:
     """C(x) of ``_beckmann_sample_visible``: visible slopes up to x, unnormalised."""
     e = exponential(-x * x)
     tail = e * scaled_erfc(wp.abs(x))
-    return 0.5 * (z * wp.where(x > 0.0, 2.0 - tail, tail) + INV_SQRT_PI * r * e)
+    return 0.5 * (z * where_number(x > 0.0, 2.0 - tail, tail) + INV_SQRT_PI * r * e)
 
 
 @wp.func
 def _beckmann_projected_area(z: wp.float32, r2: wp.float32) -> wp.float32:
     masked = z * z < wp.static(BECKMANN_SHOWN**2) * r2
-    r = wp.sqrt(wp.where(masked, r2, 1.0))
-    return wp.where(masked, visible_below(z / r, z, r), z)
+    r = wp.sqrt(where_number(masked, r2, 1.0))
+    return where_number(masked, visible_below(z / r, z, r), z)
 
 
 @wp.func
@@ -348,11 +347,11 @@ def _beckmann_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
     z = w[2]
     squared = w[0] * w[0] + w[1] * w[1]
     upright = squared <= 0.0
-    r = wp.sqrt(wp.where(upright, 1.0, squared))
-    cos_phi = wp.where(upright, 1.0, w[0] / r)
-    sin_phi = wp.where(upright, 0.0, w[1] / r)
-    r = wp.where(upright, 0.0, r)
-    high = wp.where(z < BECKMANN_MAX_SLOPE * r, z / wp.where(upright, 1.0, r), BECKMANN_MAX_SLOPE)
+    r = wp.sqrt(where_number(upright, 1.0, squared))
+    cos_phi = where_number(upright, 1.0, w[0] / r)
+    sin_phi = where_number(upright, 0.0, w[1] / r)
+    r = where_number(upright, 0.0, r)
+    high = where_number(z < BECKMANN_MAX_SLOPE * r, z / where_number(upright, 1.0, r), BECKMANN_MAX_SLOPE)
     # erfc of the largest slope, and of its opposite.
     e = exponential(-high * high)
     beyond = e * scaled_erfc(high)
@@ -368,7 +367,7 @@ def _beckmann_sample_visible(w: wp.vec3, v: wp.vec2) -> wp.vec3:
         slope = (z - x * r) * gauss
         bend = (r * gauss + 2.0 * x * slope) * c + slope * slope
         rate = 2.0 * slope * slope + excess * bend
-        step = wp.where(rate > LEAST_STEP, 2.0 * excess * slope * c / wp.max(rate, LEAST_STEP), 0.0)
+        step = where_number(rate > LEAST_STEP, 2.0 * excess * slope * c / wp.max(rate, LEAST_STEP), 0.0)
         x = wp.clamp(x - step, -BECKMANN_MAX_SLOPE, high)
     y = inverse_erf(wp.max(2.0 * v[1], 1.0e-7), wp.max(2.0 - 2.0 * v[1], 1.0e-7))
     # From the plane of incidence back to the frame of w; normal (-slope, 1).

@@ -366,8 +366,8 @@ class Functions(NamedTuple):
         signed: derivatives that are sums of lobes of one sign as they stand (``decomposition.py``). None: there are
             none.
         branches: whether ``sample``, ``eval`` and ``pdf`` branch. Those that do not select among what they compute, of
-            any directions, so that they are computed for paths side by side, also for those on other materials.
-        branches_back: whether the adjoint of ``eval`` does: the compiler makes no SIMD of it.
+            any directions, so that they are computed for paths side by side, also for those on other materials. They
+            select by ``where_number`` and ``where3``: the adjoint of ``wp.where`` branches.
     """
 
     sample: wp.Function
@@ -381,7 +381,6 @@ class Functions(NamedTuple):
     split: Split | None = None
     signed: SignedLobes | None = None
     branches: bool = True
-    branches_back: bool = False
 
 
 @dataclass(frozen=True)

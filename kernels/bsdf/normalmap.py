@@ -9,7 +9,7 @@ import warp as wp
 from warp_psdr.kernels.bsdf.composite import Child, Composite
 from warp_psdr.kernels.bsdf.frame_map import BEHIND, FLIP, SHADOW, make_frame_map, refuse_frame_map
 from warp_psdr.kernels.bsdf.model import SIDE, Functions, Measured, NormalTexture
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.math import where3, where_number
 
 #: Squared length below which a texel holds no direction, and the surface keeps its own.
 NO_DIRECTION = 1.0e-12
@@ -24,7 +24,7 @@ def make_mapped_normal(record: type) -> wp.Function:
         n = wp.vec3(n[0], mat.side * n[1], n[2])
         squared = wp.dot(n, n)
         turned = squared > NO_DIRECTION
-        return where3(turned, n / wp.sqrt(wp.where(turned, squared, 1.0)), wp.vec3(0.0, 0.0, 1.0))
+        return where3(turned, n / wp.sqrt(where_number(turned, squared, 1.0)), wp.vec3(0.0, 0.0, 1.0))
 
     return mapped_normal
 

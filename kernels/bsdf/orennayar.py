@@ -19,7 +19,7 @@ from warp_psdr.kernels.bsdf.decomposition import SignedLobes
 from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.model import Color, Functions, Model, Number
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.math import at_least, at_most, where3
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample
 
@@ -95,14 +95,13 @@ def make_oren_nayar(record: type, _variant: str) -> Functions:
     def oren_nayar_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s times the cosine of ``wo``, 1/sr."""
         above = not (wi[2] <= 0.0 or wo[2] <= 0.0)
-        # A tie of ``max`` leaves the derivative to its second argument: 1 at both ends of the range.
-        sigma = wp.max(0.0, wp.min(MAX_SIGMA, mat.sigma))
+        sigma = at_least(0.0, at_most(MAX_SIGMA, mat.sigma))
         s2 = sigma * sigma
         a = 1.0 - s2 / (2.0 * (s2 + 0.33))
         b = 0.45 * s2 / (s2 + 0.09)
-        across = wp.max(0.0, wi[0] * wo[0] + wi[1] * wo[1])
+        across = at_least(0.0, wi[0] * wo[0] + wi[1] * wo[1])
         # At most 1: the cosine of ``wo`` is taken in here.
-        share = wo[2] / wp.max(LEAST_COSINE, wp.max(wi[2], wo[2]))
+        share = wo[2] / at_least(LEAST_COSINE, at_least(wi[2], wo[2]))
         return where3(above, (INV_PI * (a * wo[2] + b * across * share)) * mat.reflectance, wp.vec3(0.0, 0.0, 0.0))
 
     @wp.func
@@ -142,9 +141,7 @@ def make_oren_nayar(record: type, _variant: str) -> Functions:
         return weight * mat.reflectance
 
     signed = SignedLobes(signed_oren_nayar_draw, signed_oren_nayar_weight)
-    return Functions(
-        oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf, signed=signed, branches=False, branches_back=True
-    )
+    return Functions(oren_nayar_sample, oren_nayar_eval, oren_nayar_pdf, signed=signed, branches=False)
 
 
 OREN_NAYAR = Model(

@@ -17,7 +17,7 @@ from warp_psdr.kernels.bsdf.diffuse import diffuse_pdf
 from warp_psdr.kernels.bsdf.model import Color, Flag, Functions, Model, RelativeIndex
 from warp_psdr.kernels.constants import INV_PI, LOBE_DELTA_REFLECTION, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance
-from warp_psdr.kernels.math import reflect_local, where3
+from warp_psdr.kernels.math import reflect_local, where3, where_number
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 from warp_psdr.kernels.structs import BsdfSample, Scattered
 
@@ -34,7 +34,7 @@ def diffuse_fresnel(eta: wp.float32) -> wp.float32:
     x = 1.0 / eta
     below = 0.0636 * x + eta * (eta * -1.4399 + 0.7099) + 0.6681
     above = 0.919317 + x * (-3.4793 + x * (6.75335 + x * (-7.80989 + x * (4.98554 + x * -1.36881))))
-    return wp.where(eta < 1.0, below, above)
+    return where_number(eta < 1.0, below, above)
 
 
 @wp.func
@@ -43,7 +43,7 @@ def share_of_coat(specular: wp.vec3, diffuse: wp.vec3, reflectance: wp.float32) 
     s = specular[0] + specular[1] + specular[2]
     d = diffuse[0] + diffuse[1] + diffuse[2]
     some = d + s > 0.0
-    weight = wp.where(some, wp.clamp(s / wp.where(some, d + s, 1.0), MIN_SHARE, 1.0 - MIN_SHARE), 0.5)
+    weight = where_number(some, wp.clamp(s / where_number(some, d + s, 1.0), MIN_SHARE, 1.0 - MIN_SHARE), 0.5)
     coat = reflectance * weight
     return coat / (coat + (1.0 - reflectance) * (1.0 - weight))
 
@@ -56,15 +56,15 @@ def make_plastic(record: type, variant: str) -> Functions:
     @wp.func
     def specular_share(mat: record, wi: wp.vec3) -> wp.float32:
         """Probability of the mirror reflection."""
-        c = wp.where(wi[2] > 0.0, wi[2], 1.0)
+        c = where_number(wi[2] > 0.0, wi[2], 1.0)
         return share_of_coat(mat.specular_reflectance, mat.diffuse_reflectance, coat_reflectance(c, mat.ior))
 
     @wp.func
     def plastic_eval(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.vec3:
         """f_s of the base times the cosine of ``wo``, 1/sr."""
         above = not (wi[2] <= 0.0 or wo[2] <= 0.0)
-        i = wp.where(above, wi[2], 1.0)
-        o = wp.where(above, wo[2], 1.0)
+        i = where_number(above, wi[2], 1.0)
+        o = where_number(above, wo[2], 1.0)
         inside = diffuse_fresnel(1.0 / mat.ior)
         rho = mat.diffuse_reflectance
         through = coat_transmittance(i, mat.ior) * coat_transmittance(o, mat.ior) / (mat.ior * mat.ior)
@@ -86,7 +86,7 @@ def make_plastic(record: type, variant: str) -> Functions:
     def plastic_scatter(mat: record, wi: wp.vec3, lobe: wp.int32) -> Scattered:
         """Mirror direction and its weight; differentiable."""
         above = wi[2] > 0.0
-        value = coat_reflectance(wp.where(above, wi[2], 1.0), mat.ior) * mat.specular_reflectance
+        value = coat_reflectance(where_number(above, wi[2], 1.0), mat.ior) * mat.specular_reflectance
         return Scattered(reflect_local(wi), where3(above, value, wp.vec3(0.0, 0.0, 0.0)))
 
     @wp.func
@@ -98,8 +98,8 @@ def make_plastic(record: type, variant: str) -> Functions:
         s = BsdfSample()
         s.eta = 1.0
         s.wo = where3(coat, mirror.wo, square_to_cosine_hemisphere(v))
-        s.pdf = wp.where(coat, share, plastic_pdf(mat, wi, s.wo))
-        s.pdf = wp.where(wi[2] > 0.0, s.pdf, 0.0)
+        s.pdf = where_number(coat, share, plastic_pdf(mat, wi, s.wo))
+        s.pdf = where_number(wi[2] > 0.0, s.pdf, 0.0)
         drawn = s.pdf > 0.0
         s.value = where3(drawn, where3(coat, mirror.value, plastic_eval(mat, wi, s.wo)), wp.vec3(0.0, 0.0, 0.0))
         s.lobe = wp.where(drawn, wp.where(coat, LOBE_DELTA_REFLECTION, LOBE_SMOOTH), LOBE_NONE)

@@ -33,7 +33,7 @@ from warp_psdr.kernels.bsdf.roughplastic import WIDE_SLOPE
 from warp_psdr.kernels.constants import INV_PI, LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.exponentials import exponential, logarithm, smooth_logarithm
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_transmittance, index_behind, refracted_cosine
-from warp_psdr.kernels.math import at_least, clamp_unit, refract_at, unit_vector, where3
+from warp_psdr.kernels.math import at_least, clamp_unit, refract_at, unit_vector, where3, where_number
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere, unit_circle
 from warp_psdr.kernels.structs import BsdfSample
 
@@ -63,7 +63,7 @@ def schlick_weight(c: wp.float32) -> wp.float32:
 def schlick_of_index(c: wp.float32, eta: wp.float32) -> wp.float32:
     """Schlick's weight at the cosine ``c``; in front of a thinner medium that of the refracted ray."""
     refracted = refracted_cosine(c, eta) / eta
-    return schlick_weight(wp.where(eta > 1.0, c, refracted))
+    return schlick_weight(where_number(eta > 1.0, c, refracted))
 
 
 @wp.func
@@ -78,7 +78,7 @@ def tint_of(color: wp.vec3) -> wp.vec3:
 def principled_index(ior: wp.float32, specular: wp.float32) -> wp.float32:
     """Index of refraction: ``ior``, or where that is 0, the one that reflects 0.08 ``specular`` at normal incidence."""
     root = wp.sqrt(0.08 * clamp_unit(specular) + MIN_NORMAL_REFLECTANCE)
-    return wp.where(ior > 0.0, ior, (1.0 + root) / (1.0 - root))
+    return where_number(ior > 0.0, ior, (1.0 + root) / (1.0 - root))
 
 
 @wp.func
@@ -250,7 +250,7 @@ def make_principled(record: type, variant: str) -> Functions:
             return wp.vec3(0.0, 0.0, 0.0)
         if wi[2] > 0.0 and wo[2] > 0.0:
             return front_value(mat, wi, wo, eta)
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = where_number(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
         behind = index_behind(eta, wi[2])
@@ -279,7 +279,7 @@ def make_principled(record: type, variant: str) -> Functions:
     def refracting_share(mat: record, wi: wp.vec3, transmittance: wp.float32) -> wp.float32:
         """Share of the samples of the main lobe that are refracted, by the transmittance at their normal."""
         glass = (1.0 - clamp_unit(mat.metallic)) * transmitted_share(mat)
-        return wp.where(wi[2] < 0.0, 1.0, wp.max(glass, MIN_SHARE)) * transmittance
+        return where_number(wi[2] < 0.0, 1.0, wp.max(glass, MIN_SHARE)) * transmittance
 
     @wp.func
     def front_pdf(mat: record, wi: wp.vec3, wo: wp.vec3, weights: wp.vec3, refracted: wp.float32) -> wp.float32:
@@ -296,7 +296,7 @@ def make_principled(record: type, variant: str) -> Functions:
         """Density of the sampled directions, solid angle, where nothing passes."""
         above = not (wi[2] <= MIN_COSINE or wo[2] <= MIN_COSINE)
         density = front_pdf(mat, or_upright(above, wi), or_upright(above, wo), lobe_weights(mat), 0.0)
-        return wp.where(above, density, 0.0)
+        return where_number(above, density, 0.0)
 
     @wp.func
     def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:
@@ -314,7 +314,7 @@ def make_principled(record: type, variant: str) -> Functions:
     @wp.func
     def transmitting_pdf(mat: record, wi: wp.vec3, wo: wp.vec3) -> wp.float32:
         """Density of the sampled directions, solid angle."""
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = where_number(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
         if i[2] <= MIN_COSINE or wp.abs(o[2]) <= MIN_COSINE:
@@ -340,7 +340,7 @@ def make_principled(record: type, variant: str) -> Functions:
         s = BsdfSample()
         s.eta = 1.0
         s.lobe = LOBE_NONE
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = where_number(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         if i[2] > MIN_COSINE:
             weights = lobe_weights(mat)

@@ -34,7 +34,7 @@ from warp_psdr.kernels.fresnel import (
     index_behind,
     refracted_cosine,
 )
-from warp_psdr.kernels.math import refract_at, unit_vector, where3
+from warp_psdr.kernels.math import refract_at, unit_vector, where3, where_number
 from warp_psdr.kernels.structs import BsdfSample
 
 #: How far from 1 the ratio of indices has to be: nearer, the half vector is a difference of nearly equal vectors.
@@ -68,7 +68,7 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
     def at_interface(mat: record, wi: wp.vec3, wo: wp.vec3) -> InterfacePair:
         """Both directions with ``wi`` turned up; a pair without a half vector is one that goes straight back."""
         pair = InterfacePair()
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = where_number(wi[2] < 0.0, -1.0, 1.0)
         i = turned(wi, up)
         o = turned(wo, up)
         pair.eta = index_behind(mat.ior, wi[2])
@@ -82,9 +82,9 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         pair.wo = or_upright(shown, o)
         # At grazing angles parts of the share that is not selected are infinite, and their adjoints no numbers.
         above = pair.wo[2] > 0.0
-        reflectance = coat_reflectance(wp.where(shown and above, c, 1.0), pair.eta)
-        transmittance = coat_transmittance(wp.where(above, 1.0, c), pair.eta)
-        pair.share = wp.where(above, reflectance, transmittance)
+        reflectance = coat_reflectance(where_number(shown and above, c, 1.0), pair.eta)
+        transmittance = coat_transmittance(where_number(above, 1.0, c), pair.eta)
+        pair.share = where_number(above, reflectance, transmittance)
         return pair
 
     @wp.func
@@ -104,13 +104,13 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         alpha_u = at_least_min(mat.alpha_u)
         alpha_v = at_least_min(mat.alpha_v)
         density = pair.share * interface.pdf(pair.wi, pair.wo, pair.eta, alpha_u, alpha_v)
-        return wp.where(pair.shown == 1, density, 0.0)
+        return where_number(pair.shown == 1, density, 0.0)
 
     @wp.func
     def rough_dielectric_sample(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> BsdfSample:
         """Reflect or refract ``wi`` at a visible normal, by its reflectance; none that ends on the wrong side."""
         aside = not wp.abs(wi[2]) <= MIN_COSINE
-        up = wp.where(wi[2] < 0.0, -1.0, 1.0)
+        up = where_number(wi[2] < 0.0, -1.0, 1.0)
         i = or_upright(aside, turned(wi, up))
         eta = index_behind(mat.ior, wi[2])
         n = visible_normal(i, at_least_min(mat.alpha_u), at_least_min(mat.alpha_v), v)
@@ -118,11 +118,11 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         g = refracted_cosine(c, eta)
         reflected = u < fresnel_dielectric(c, g, eta)
         o = where3(reflected, 2.0 * c * n - i, refract_at(i, n, c, g, eta))
-        right = aside and c > 0.0 and o[2] * wp.where(reflected, 1.0, -1.0) > 0.0
+        right = aside and c > 0.0 and o[2] * where_number(reflected, 1.0, -1.0) > 0.0
         s = BsdfSample()
-        s.eta = wp.where(reflected, 1.0, eta)
+        s.eta = where_number(reflected, 1.0, eta)
         s.wo = where3(right, turned(unit_vector(o), up), wp.vec3(0.0, 0.0, 0.0))
-        s.pdf = wp.where(right, rough_dielectric_pdf(mat, wi, s.wo), 0.0)
+        s.pdf = where_number(right, rough_dielectric_pdf(mat, wi, s.wo), 0.0)
         drawn = s.pdf > 0.0
         s.value = where3(drawn, rough_dielectric_eval(mat, wi, s.wo), wp.vec3(0.0, 0.0, 0.0))
         s.lobe = wp.where(drawn, LOBE_SMOOTH, LOBE_NONE)
@@ -138,7 +138,6 @@ def make_rough_dielectric(record: type, distribution: str) -> Functions:
         rough_dielectric_pdf,
         relative_eta=rough_dielectric_relative_eta,
         branches=False,
-        branches_back=True,
     )
 
 

@@ -37,7 +37,7 @@ from warp_psdr.kernels.bsdf.plastic import share_of_coat
 from warp_psdr.kernels.bsdf.reflected import make_reflected_sample
 from warp_psdr.kernels.constants import INV_PI, LOBE_SMOOTH
 from warp_psdr.kernels.fresnel import coat_reflectance, coat_reflectance_by_index
-from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.math import where3, where_number
 from warp_psdr.kernels.sampling import square_to_cosine_hemisphere
 
 #: Cosines at which the transmittance is tabulated, 0 to 1.
@@ -127,7 +127,7 @@ def make_rough_plastic(record: type, variant: str) -> Functions:
         alpha = at_least_min(mat.alpha)
         share = rough_share(mat, i)
         density = share * reflection.pdf(i, o, alpha, alpha) + (1.0 - share) * diffuse_pdf(i, o)
-        return wp.where(above, density, 0.0)
+        return where_number(above, density, 0.0)
 
     @wp.func
     def draw(mat: record, wi: wp.vec3, u: wp.float32, v: wp.vec2) -> wp.vec3:

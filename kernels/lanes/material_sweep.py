@@ -3,9 +3,9 @@
 All paths are swept from their n-th vertex to the one before together, from the last vertex down. This takes a few
 products, after which the vertices have no order any more; they wait until they fill the lanes (``waiting_lanes.py``).
 ``place_lanes.py`` finds their points again; the radiance of the light that was drawn is kept. A model's adjoint is a
-loop over all lanes, as its value is (``model_lanes.py``). Delta lobes are differentiated lane by lane, and gradients
-are added lane by lane, for two paths may meet the same material. A diffuse vertex is only a few products, so diffuse
-materials are swept one path after the other, which is faster.
+loop over all lanes, as its value is, unless the model branches (``model_lanes.py``). Delta lobes are differentiated
+lane by lane, and gradients are added lane by lane, for two paths may meet the same material. A diffuse vertex is only a
+few products, so diffuse materials are swept one path after the other, which is faster.
 """
 
 import warp as wp
@@ -65,10 +65,10 @@ class ScatteringWeight:
 def sweeps_materials(config: PathConfig, wanted: GradientRequest) -> bool:
     """Whether the sweep serves a request: numbers of materials alone, of other than diffuse ones, under lights.
 
-    Where the adjoint of a model is no SIMD, one path after the other is faster.
+    Where all models branch, one path after the other is as fast.
     """
     models = [f for f in make_interaction(config.surfaces, config.lights).bsdf.each if f.eval is not None]
-    if any(f.branches or f.branches_back for f in models):
+    if all(f.branches for f in models):
         return False
     others = wanted.geometry or wanted.to_uv or wanted.radiance or wanted.paired or bool(wanted.lights)
     return samples_lights(config.lights, config.surfaces.bsdfs) and not (

@@ -21,13 +21,12 @@ SCALAR = {
     "make_lane_paths.look": "the same",
     "make_place_lanes.collect": "few rays meet a light",
     "make_kept_lanes.put": "a vertex is a record of its own",
-    "make_material_sweep.begin_sweep": "paths are chosen one by one",
-    "make_lane_sweep.begin_sweep": "the same",
+    "make_passage.passage": "a shadow ray passes surfaces",
+    "make_chosen.chosen": "a path meets what matters, or not",
+    "make_sweep_of_each.sweep_all": "paths are swept one by one",
 }
-#: Factories of such loops, but for kernels'.
-OVER_LANES = re.compile(
-    r"(make_\w*lane|_make_draw\.|_make_evaluate\.|make_adjoints|make_material_sweep|make_trace_waiting)"
-)
+#: Not loops over lanes: queries in C++, and what calls the kernels.
+OTHERS = re.compile(r".*(_wide\d+$|_cpu_)")
 CASES = (
     "Cornell box",
     "gold under a sky",
@@ -80,13 +79,11 @@ def remarks(case: str, what: str, folder: Path) -> tuple[set[str], set[str]]:
     ):
         if name not in lines:
             lines[name] = next(folder.glob(f"*/*/{name}")).read_text().split("\n")
-        at = int(line) - 1
-        # The condition of a ``while``: of an inlined query in C++ it is something else.
-        if "goto end_while" in lines[name][at] or "goto start_while" in lines[name][at]:
-            heads = (re.match(r"static .*?(\w+)\(", text) for text in reversed(lines[name][:at]))
-            function = re.sub(r"_\d+$", "", next(head[1] for head in heads if head)).replace("__locals__", ".")
-            if OVER_LANES.match(function):
-                found[bool(refused)].add(function)
+        # A refusal may stand at a branch of a function that the loop calls.
+        heads = (re.match(r"static .*?(\w+)\(", text) for text in reversed(lines[name][: int(line)]))
+        function = re.sub(r"_\d+$", "", next((head[1] for head in heads if head), "")).replace("__locals__", ".")
+        if function and not OTHERS.match(function):
+            found[bool(refused)].add(function)
     return found
 
 
