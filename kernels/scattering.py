@@ -352,30 +352,50 @@ def make_onward(config: PathConfig, differential: bool):
 
 
 @functools.cache
+def make_transmitted_more(surfaces: SurfaceConfig, lights: LightConfig):
+    """Return ``(at, bs, u) -> BsdfSample``: ``bs``, for derivatives, of glass that lets little light pass; or None.
+
+    Such glass is near its critical angle, where the transmittance rises steeply: it is drawn as often as
+    ``LEAST_TRANSMITTED`` says. ``u`` is the random number that chose the lobe. None: the scene has no glass.
+    """
+    interaction = make_interaction(surfaces, lights)
+    record, bsdf = interaction.record, interaction.bsdf
+    if bsdf.relative_eta is None or bsdf.scatter is None:
+        return None
+
+    @wp.func
+    def transmitted_more(at: record, bs: BsdfSample, u: wp.float32) -> BsdfSample:
+        drawn = bs
+        # Glass, with its two delta lobes alone.
+        two = bs.lobe > LOBE_SMOOTH and bsdf.transmits(at.model) and bsdf.mirrors(at.model)
+        if two and not bsdf.has_smooth(at.model) and not bsdf.has_null(at.model):
+            passed = bsdf.probability(at.model, at.material, at.wi, LOBE_DELTA_TRANSMISSION)
+            if passed > 0.0 and passed < LEAST_TRANSMITTED:
+                reflects = u < 1.0 - LEAST_TRANSMITTED
+                drawn.lobe = wp.where(reflects, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION)
+                drawn.pdf = wp.where(reflects, 1.0 - LEAST_TRANSMITTED, LEAST_TRANSMITTED)
+                drawn.eta = wp.where(reflects, 1.0, bsdf.relative_eta(at.model, at.material, at.wi))
+                scattered = interaction.scatter(at, drawn.lobe)
+                drawn.wo = scattered.wo
+                drawn.value = scattered.value
+        return drawn
+
+    return transmitted_more
+
+
+@functools.cache
 def make_scatter(config: PathConfig, differential: bool):
     """Return ``scatter(at, state, face, r4, rr_depth) -> ScatterSample``; arguments as ``make_path_step``'s."""
     interaction = make_interaction(config.surfaces, config.lights)
     record = interaction.record
     onward = make_onward(config, differential)
-    bsdf = interaction.bsdf
-    glass = differential and bsdf.relative_eta is not None and bsdf.scatter is not None
+    transmitted_more = make_transmitted_more(config.surfaces, config.lights) if differential else None
 
     @wp.func
     def scatter(at: record, state: PathState, face: wp.int32, r4: wp.vec4, rr_depth: wp.int32) -> ScatterSample:
         bs = interaction.sample(at, r4[0], wp.vec2(r4[2], r4[3]))
-        if wp.static(glass):
-            # ---- Glass, with its two delta lobes alone ----
-            two = bs.lobe > LOBE_SMOOTH and bsdf.transmits(at.model) and bsdf.mirrors(at.model)
-            if two and not bsdf.has_smooth(at.model) and not bsdf.has_null(at.model):
-                passed = bsdf.probability(at.model, at.material, at.wi, LOBE_DELTA_TRANSMISSION)
-                if passed > 0.0 and passed < LEAST_TRANSMITTED:
-                    reflects = r4[0] < 1.0 - LEAST_TRANSMITTED
-                    bs.lobe = wp.where(reflects, LOBE_DELTA_REFLECTION, LOBE_DELTA_TRANSMISSION)
-                    bs.pdf = wp.where(reflects, 1.0 - LEAST_TRANSMITTED, LEAST_TRANSMITTED)
-                    bs.eta = wp.where(reflects, 1.0, bsdf.relative_eta(at.model, at.material, at.wi))
-                    scattered = interaction.scatter(at, bs.lobe)
-                    bs.wo = scattered.wo
-                    bs.value = scattered.value
+        if wp.static(transmitted_more is not None):
+            bs = transmitted_more(at, bs, r4[0])
         return onward(at, bs, state, face, r4[1], rr_depth)
 
     return scatter

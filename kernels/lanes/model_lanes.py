@@ -15,8 +15,10 @@ from warp_psdr.kernels.bsdf.dispatch import make_eval_vjp
 from warp_psdr.kernels.bsdf.model import Functions
 from warp_psdr.kernels.generated import make_generated, make_select
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
+from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_number, stack_rows
 from warp_psdr.kernels.math import where3
+from warp_psdr.kernels.scattering import make_transmitted_more
 from warp_psdr.kernels.structs import BsdfSample
 from warp_psdr.kernels.vertex import LightConfig, SurfaceConfig
 
@@ -53,12 +55,15 @@ def model_bit(model: wp.int32) -> wp.int32:
     return 1 << wp.min(model, LAST_BIT)
 
 
-def make_model_lanes(surfaces: SurfaceConfig, lights: LightConfig, width: int, first: int, places: Rows) -> ModelLanes:
+def make_model_lanes(
+    surfaces: SurfaceConfig, lights: LightConfig, differential: bool, width: int, first: int, places: Rows
+) -> ModelLanes:
     """Make the functions.
 
     Args:
         surfaces: what the surfaces need; there are several models.
         lights: what the lights need.
+        differential: whether directions are drawn for derivatives.
         width: number of lanes.
         first: the first row that they may take; the last one is the last of ``values``.
         places: where the paths stand, interactions.
@@ -66,7 +71,8 @@ def make_model_lanes(surfaces: SurfaceConfig, lights: LightConfig, width: int, f
     models = make_interaction(surfaces, lights).bsdf.each
     drawn, values = stack_rows(width, first, BsdfSample, ScatteringValue)
     numbers = make_number(width)[0]
-    draws = {k: _make_draw(k, f, width, places, drawn, numbers) for k, f in enumerate(models)}
+    more = make_transmitted_more(surfaces, lights) if differential else None
+    draws = {k: _make_draw(k, f, more, width, places, drawn, numbers) for k, f in enumerate(models)}
 
     def make_evaluate(light_samples: Rows) -> wp.Function:
         smooth = {k: f for k, f in enumerate(models) if f.eval is not None}
@@ -96,8 +102,12 @@ def _make_each(name: str, functions: dict[int, wp.Function], count: int, differe
     return make_generated("\n".join(lines) + "\n", ROWS=ROWS, anchor=anchor, **named)
 
 
-def _make_draw(k: int, f: Functions, width: int, places: Rows, drawn: Rows, number: wp.Function) -> wp.Function:
+def _make_draw(
+    k: int, f: Functions, more: wp.Function | None, width: int, places: Rows, drawn: Rows, number: wp.Function
+) -> wp.Function:
+    """``more``: ``make_transmitted_more``'s."""
     sample, where_sample = f.sample, make_select(BsdfSample)
+    rebalanced = more is not None and f.relative_eta is not None and f.scatter is not None
 
     @wp.func
     def draw_of_model(standing: wp.int32, rows: ROWS):
@@ -114,8 +124,11 @@ def _make_draw(k: int, f: Functions, width: int, places: Rows, drawn: Rows, numb
         for j in range(standing):
             at = places.get(rows, j)
             if at.model == k:
-                v = wp.vec2(number(rows, 6, j), number(rows, 7, j))
-                drawn.put(rows, j, sample(at.material, at.wi, number(rows, 4, j), v))
+                u = number(rows, 4, j)
+                found = sample(at.material, at.wi, u, wp.vec2(number(rows, 6, j), number(rows, 7, j)))
+                if wp.static(rebalanced):
+                    found = more(at, found, u)
+                drawn.put(rows, j, found)
 
     return draw_on_model if f.branches else draw_of_model
 
@@ -156,7 +169,7 @@ def make_adjoints_of_each(
     """Return ``(models, standing, rows)``, which adds adjoints of material values.
 
     Args:
-        surfaces: what the surfaces need; no model branches, nor does an adjoint (``sweeps_materials``).
+        surfaces: what the surfaces need.
         lights: what the lights need.
         width: number of lanes.
         places: where the paths stand, interactions.
@@ -181,7 +194,18 @@ def make_adjoints_of_each(
                 adjoints.put(rows, j, select(at.model == k, add(found, more.material), found))
                 j += 1
 
-        return add_adjoint_of_model
+        @wp.func
+        def add_adjoint_on_model(standing: wp.int32, rows: ROWS):
+            _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+            for j in range(standing):
+                at = places.get(rows, j)
+                if at.model == k:
+                    weight = weights.get(rows, j)
+                    if not vanishes(weight.w):
+                        more = vjp(at.material, at.wi, weight.wo, weight.w)
+                        adjoints.put(rows, j, add(adjoints.get(rows, j), more.material))
+
+        return add_adjoint_on_model if f.branches else add_adjoint_of_model
 
     smooth = {k: make(k, f) for k, f in enumerate(bsdf.each) if f.eval is not None}
     return _make_each("add_adjoints_of_models", smooth, len(bsdf.each), differentiates=True)

@@ -167,7 +167,7 @@ def make_lane_paths(
     scatter_samples, looks = stack_rows(width, emissions.end, ScatterSample, ShadowQuery)
     end, lights, models, evaluate_models = looks.end, None, None, None
     if len(config.surfaces.bsdfs) > 1:
-        models = make_model_lanes(config.surfaces, config.lights, width, end, places)
+        models = make_model_lanes(config.surfaces, config.lights, differential, width, end, places)
         end = models.values.end
     if has_lights:
         lights = make_light_lanes(
