@@ -324,6 +324,25 @@ def test_values_that_kernels_wrote_are_refreshed(loaded, name, named):
     np.testing.assert_array_equal(image(scene), expected)
 
 
+@pytest.mark.parametrize("assigned", [True, False])
+def test_values_that_go_back_and_forth_are_followed(loaded, counted, assigned):
+    """A kernel writes A, B and A again; the scene has looked at A in between, when nothing had changed."""
+    _scene, params = loaded
+    values = params[RADIANCE].numpy() * np.float32([[2.0], [3.0]])
+    params[RADIANCE].assign(values[0])
+    for _nothing_the_second_time in range(2):
+        params.update()
+    if assigned:
+        params[RADIANCE] = values[1]
+    else:
+        params[RADIANCE].assign(values[1])
+    params.update()
+    before = counted["selection"]
+    params[RADIANCE].assign(values[0])
+    params.update()
+    assert counted["selection"] == before + 1
+
+
 def test_what_has_been_refreshed_is_not_refreshed_again(loaded, counted):
     _scene, params = loaded
     params["ceiling.to_world"].assign(params["ceiling.to_world"].numpy() * np.float32(1.1))

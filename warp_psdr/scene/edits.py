@@ -53,6 +53,12 @@ def check_media(parameters: Iterable[Parameter], values: np.ndarray) -> None:
             raise ValueError(f"{p.name} is {wrong} after an edit; write {limits} (psdr.optim keeps to them)")
 
 
+def differing(parameters: Iterable[Parameter], held: np.ndarray, other: np.ndarray) -> list[Parameter]:
+    """Return the parameters that two arrays of a scene's values hold different values of."""
+    places = ((p, slice(p.offset, p.offset + p.size)) for p in parameters)
+    return [p for p, place in places if not np.array_equal(held[place], other[place])]
+
+
 #: Stretches of values that lie closer to each other are one: a call costs as much as a thousand numbers.
 NEAR = 1024
 #: Numbers of large arrays that are looked at together.
@@ -89,6 +95,7 @@ class Edits:
         for name in names:
             if name in self._arrays:
                 self._sums[name] = checksum(self._arrays[name])
+                self._long = []  # those of other values
 
     def _all_stretches(self) -> list[int]:
         return [checksum(stretch) for stretch in self._stretches]
