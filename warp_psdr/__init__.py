@@ -13,6 +13,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
+    from warp_psdr.bind import bind
     from warp_psdr.coverage import Coverage, coverage
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
@@ -54,6 +55,7 @@ __all__ = [
     "Trace",
     "Transform",
     "accuracy",
+    "bind",
     "boundary",
     "compile",
     "cornell_box",
@@ -109,6 +111,7 @@ _PUBLIC = {
     "Trace": "estimate.trace",
     "Transform": "scene.transforms",
     "accuracy": "accuracy.pilot",
+    "bind": "bind",
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
     "coverage": "coverage",

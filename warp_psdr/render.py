@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, overload
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import warp as wp
@@ -31,12 +31,12 @@ from warp_psdr.estimate.views import assembled, count_of_views, each, of_one, re
 from warp_psdr.film import Film
 from warp_psdr.image import Image
 from warp_psdr.invalid import warns
-from warp_psdr.options.integrator import Integrator
+from warp_psdr.options.integrator import Integrator, PathIntegrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.plan import decide
 from warp_psdr.plan.transient import shape_of
 from warp_psdr.scene.description import Sensor
-from warp_psdr.scene.edits import checksum
+from warp_psdr.scene.frames import frames_of, held_at
 from warp_psdr.scene.loaded import check_loaded
 from warp_psdr.scene.parameters import check_owner
 from warp_psdr.topology import contacts
@@ -144,7 +144,13 @@ def render(
     from warp_psdr.accuracy import budget, quantity
     from warp_psdr.accuracy import views as quantities
 
-    check_loaded(scene)
+    try:
+        check_loaded(scene)
+    except ValueError as error:
+        told = tape or active_tape()
+        if told is not None:
+            error.add_note(f"This is rendering number {frames_of(told, scene).count + 1} of the scene on its tape.")
+        raise
     views = scene.description.views(sensor)
     if params is not None:
         check_owner(scene, params)
@@ -216,17 +222,21 @@ def _budgeted(what: Quantity, wanted: Budget, seed: int, progress, reached) -> I
 
 
 def _record(tape: wp.Tape, image: wp.array, scene: Scene, params: Parameters, **options) -> None:
-    names, values = params.requested, checksum(scene.values)
+    """Let a tape add the gradient to the arrays that hold the parameters now, by the values that they hold now."""
+    arrays = {name: params[name] for name in params.requested}
+    frame = frames_of(tape, scene).take()
 
     def backward() -> None:
-        if checksum(scene.values) != values or set(params.requested) != set(names):
-            raise RuntimeError(
-                "tape.backward: the scene, or what requires_grad named, has changed since render(tape=...); call "
-                "tape.backward before parameters change, and record every rendering of another scene on its own tape"
-            )
-        render_backward(scene, params, image.grad, **options)
+        for name, array in arrays.items():
+            if array.grad is None:
+                raise RuntimeError(
+                    f"tape.backward: {name!r} was requested by render(tape=...) and has no gradient any more; call "
+                    "tape.backward before requires_grad_only names others"
+                )
+        with held_at(scene, frame.state):
+            _add_gradient(scene, arrays, image.grad, **options)
 
-    tape.record_func(backward, [image, *(params[name] for name in names)])
+    tape.record_func(backward, [image, *arrays.values()])
 
 
 @warns
@@ -289,41 +299,58 @@ def render_backward(
         values, bought = budget.spend(what, wanted, seed=seed, progress=progress)
         for name, block in what.blocks.items():
             total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
-            add_to_gradient(scene, params, name, total, 0)
+            add_to_gradient(params[name], total, 0)
         return bought
-    integrator = integrator_of(scene, integrator)
-    names, seed = requested(scene, params), checked_seed(seed)
+    arrays = {name: params[name] for name in requested(scene, params)}
+    _add_gradient(
+        scene,
+        arrays,
+        adjoint,
+        sensor=sensor,
+        integrator=integrator_of(scene, integrator),
+        spp=spp,
+        samples=samples,
+        seed=checked_seed(seed),
+        progress=progress,
+    )
+    return None
+
+
+def _add_gradient(
+    scene: Scene,
+    arrays: Mapping[str, wp.array],
+    adjoint,
+    *,
+    sensor: Sensor,
+    integrator: PathIntegrator,
+    spp: int | None,
+    samples: tuple[int, int] | None = None,
+    seed: int,
+    progress: Progress | None = None,
+) -> None:
+    """Add to the gradients of the arrays that hold parameters, which are given by name; see ``render_backward``."""
+    views, names = scene.description.views(sensor), list(arrays)
     if views.several:
         spp = count_of_views(scene, views, spp)
         require_range(scene, views, integrator, spp, samples)
+        options: dict[str, Any] = {"integrator": integrator, "spp": spp, "samples": samples, "seed": seed}
         adjoints = adjoint_array(adjoint, shape_of_views(scene, views), scene.device).numpy()
         for number, place, told in each(scene, views, progress):
             own = of_one(scene, views, adjoints, place)
-            render_backward(
-                scene,
-                params,
-                own,
-                sensor=number,
-                integrator=integrator,
-                spp=spp,
-                samples=samples,
-                seed=seed,
-                progress=told,
-            )
-        return None
+            _add_gradient(scene, arrays, own, sensor=number, progress=told, **options)
+        return
     sensor = views.sensors[0]
     spp = sample_count(scene, sensor, spp)
     draw = draw_of(integrator, spp, samples)
     adjoint = flat(adjoint_array(adjoint, shape_of(scene, sensor), scene.device))
-    plan = decide(scene, params, integrator=integrator, sensor=sensor)
+    plan = decide(scene, names=names, integrator=integrator, sensor=sensor)
     guide = integrator.boundary == "auto" and samples is None  # what guides changes from call to call
     call = derivative(scene, plan, names, "reverse", sensor, spp, seed, adjoint, guide=guide)
     sums = GradientSums(scene, names)
     call.add(draw, sums, progress)
     total = sums.result()
-    for name in names:
-        add_to_gradient(scene, params, name, total, scene.parameters[name].offset)
-    return None
+    for name, array in arrays.items():
+        add_to_gradient(array, total, scene.parameters[name].offset)
 
 
 @warns

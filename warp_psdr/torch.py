@@ -27,6 +27,7 @@ from warp_psdr.plan.plan import decide
 from warp_psdr.render import render as render_image
 from warp_psdr.render import render_backward, render_forward
 from warp_psdr.scene.description import Sensor
+from warp_psdr.scene.frames import held_at
 from warp_psdr.scene.parameters import Parameters, check_independent, parameter_of, traverse
 
 try:
@@ -135,6 +136,7 @@ class _Call:
         """Make the scene hold the tensors' values."""
         params = traverse(self.scene)
         for name, tensor in zip(self.names, tensors, strict=True):
+            self.scene.bindings.refuse(name)
             value = _numpy(tensor)
             if self.scene.place(name, params.check(name, value, "value", value.dtype.type)):
                 self.scene.pending.add(name)  # checksums of world coordinates do not tell all in far scenes
@@ -166,19 +168,13 @@ class _Render(torch.autograd.Function):
             )
         call: _Call = ctx.call
         params = call.parameters()
-        params.update()
-        # Another render may have changed the scene since; it gets these values for now, and its own ones back.
-        later = call.scene.state()
-        call.scene.restore(ctx.state)
-        try:
+        with held_at(call.scene, ctx.state):  # another render may have changed the scene since
             given = _adjoint(adjoint, call.scene.device)
             render_backward(call.scene, params, given, spp=call.gradient_spp, seed=call.seed, **call.options)
             gradients = [
                 _tensor(params[name].grad).to(dtype=dtype, device=device).reshape(shape) if wanted else None
                 for name, wanted, (shape, dtype, device) in zip(call.names, call.wanted, ctx.like, strict=True)
             ]
-        finally:
-            call.scene.restore(later)
         return (None, *gradients)
 
     @staticmethod

@@ -8,7 +8,7 @@ filter: under wider ones primal images splat their samples, while gradient passe
 
 import contextlib
 import functools
-import sys
+import importlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,7 +84,7 @@ def assert_steps_agree(fine: np.ndarray, coarse: np.ndarray) -> None:
 @contextlib.contextmanager
 def shared_random_numbers():
     """Let primal images use the random numbers of gradient passes, and edits keep the light selection."""
-    calls = sys.modules["warp_psdr.estimate.calls"]
+    calls = importlib.import_module("warp_psdr.estimate.calls")
     stream, updates = calls.STREAM_PRIMAL, {n: getattr(Lights, n) for n in LIGHT_UPDATES}
     calls.STREAM_PRIMAL = STREAM_INTERIOR
     for name in updates:

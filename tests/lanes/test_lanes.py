@@ -1,9 +1,6 @@
 """Paths that are traced side by side: the bits of single ones, and loops that the compiler turns into SIMD."""
 
 import itertools
-import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +10,6 @@ import warp as wp
 import warp_psdr as psdr
 from tests.gradients import scenes
 from warp_psdr.kernels import primal, splat
-from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.interior import replay
 from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM, make_number, make_record, stack_rows, words
 from warp_psdr.kernels.lanes.path_lanes import LaneSample, make_lane_paths, side_by_side
@@ -29,16 +25,10 @@ KERNELS = (
     splat.make_splat_kernel,
     replay.make_replay_kernel,
 )
-#: Loops over lanes in a kernel: camera rays, random numbers, surfaces, places, lights, estimates, directions, sums and
-#: what is found out on the way; what is kept, and the sweep over it. Of eight lanes short loops are unrolled instead.
-LOOPS = {
-    **{"primal": {8: 10, 16: 12}, "replay": {8: 15, 16: 18}},
-    **{"gold": {8: 10, 16: 12}, "coat": {8: 9, 16: 11}, "principled": {8: 11, 16: 15}},
-    # Under a constant sky and without a bitmap they are 11 and 14: a map adds its own, a bitmap is read lane by lane.
-    **{"sky": {8: 12, 16: 17}, "texture": {8: 10, 16: 13}},
-}
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
+#: Share of the largest gradient below which a gradient may be rounding.
+CANCELLED = 1.0e-3
 
 
 def forget_kernels():
@@ -236,20 +226,20 @@ def cases():
 
 @pytest.mark.parametrize(("name", "spp", "sampler", "what"), list(cases()))
 def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
-    """Gradients that are swept side by side (vertices, lights' poses, the camera; other than diffuse) but for sums."""
+    """Images have; gradients but for sums, and for the light of a vertex, which lanes keep and others look up again."""
     scene = psdr.load_dict(SCENES[name]())
-    config = psdr.plan(scene).config
-    assert side_by_side(config)
-    exact = what == "values" and is_diffuse(config.surfaces.bsdfs)
+    assert side_by_side(psdr.plan(scene).config)
     names = [name for name in scene.parameters if what == "all" or name.endswith((".data", ".value", "color"))]
     image, gradients = images_and_gradients(scene, spp, sampler, 4, names)
     alone()
     single, singles = images_and_gradients(scene, spp, sampler, 4, names)
     assert image.mean() > 1.0e-3
     np.testing.assert_array_equal(image, single)
+    largest = max(np.abs(single).max() for single in singles.values())
     for key, gradient in gradients.items():
         assert np.isfinite(gradient).all()
-        tolerance = 0.0 if exact else SUMMED * np.abs(singles[key]).max()
+        # What cancels, texture coordinates that turn frames of isotropic models for example, is rounding alone.
+        tolerance = SUMMED * max(np.abs(singles[key]).max(), CANCELLED * largest)
         np.testing.assert_allclose(gradient, singles[key], rtol=0.0, atol=tolerance)
     moved = [g for key, g in gradients.items() if key.endswith(("positions", "to_world"))]
     for of_kind in [list(gradients.values())] + [moved] * (what == "all"):
@@ -274,11 +264,10 @@ def test_numbers_of_materials_are_swept_side_by_side(alone):
         name: {**ball, "center": [0.4 * i - 0.6, 0.5, 0.2], "bsdf": bsdf}
         for i, (name, bsdf) in enumerate(others.items())
     }
-    kept = {name: base[name] for name in ("type", "sensor", "lamp")}
-    scene = psdr.load_dict({**kept, "floor": floor, "ball": ball, **balls})
+    shown = {"floor": floor, "ball": ball, **balls}
+    scene = psdr.load_dict({**{name: base[name] for name in ("type", "sensor", "lamp")}, **shown})
     params = psdr.traverse(scene)
-    starts = tuple(f"{name}.bsdf." for name in ("floor", "ball", *others))
-    names = [name for name in scene.parameters if name.startswith(starts) and not name.endswith("to_uv")]
+    names = [n for n in scene.parameters if n.split(".")[0] in shown and ".bsdf." in n and not n.endswith("to_uv")]
     params.requires_grad(*names)
     film = scenes.gap_scene()["sensor"]["film"]
     adjoint = np.random.default_rng(1).normal(size=(film["height"], film["width"], 3)).astype(np.float32)
@@ -446,60 +435,3 @@ def test_paths_wait_in_their_order(width):
     kept = np.arange(0, queue.room, 4)
     np.testing.assert_array_equal(out.numpy()[: len(kept)], kept)
     assert (out.numpy()[len(kept) :] == -1).all() and queue.room % width == 0 and queue.room > 8 * width
-
-
-COMPILE = """
-import sys
-import numpy as np
-import warp as wp
-wp.config.log_level = wp.LOG_ERROR
-wp.config.kernel_cache_dir = sys.argv[2]
-wp.config.cpu_compiler_flags += " -Rpass=loop-vectorize"
-import warp_psdr as psdr
-from warp_psdr.estimate import passes
-from warp_psdr.kernels.primal import make_primal_kernel
-scene = psdr.load_file(sys.argv[1], resolution=16)
-if sys.argv[3] == "gold":
-    gold = {"type": "roughconductor", "material": "Au", "distribution": "ggx"}
-    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
-    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
-                            "floor": {"type": "rectangle", "bsdf": gold}})
-if sys.argv[3] == "principled":
-    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
-    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
-                            "floor": {"type": "rectangle", "bsdf": {"type": "principled"}},
-                            "ball": {"type": "sphere", "bsdf": {"type": "roughdielectric"}}})
-if sys.argv[3] in ("sky", "texture"):
-    texels = np.full((4, 8, 3), 0.5, np.float32)
-    light = {"type": "envmap", "bitmap": texels} if sys.argv[3] == "sky" else {"type": "constant"}
-    paint = {"type": "bitmap", "data": texels} if sys.argv[3] == "texture" else 0.5
-    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "light": light,
-                            "floor": {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": paint}}})
-if sys.argv[3] == "coat":
-    texels = np.full((2, 2, 3), 0.5, np.float32)
-    waves = {"type": "normalmap", "normalmap": {"type": "bitmap", "data": texels, "raw": True},
-             "bsdf": {"type": "roughplastic"}}
-    lamp = {"type": "sphere", "emitter": {"type": "area"}, "bsdf": {"type": "diffuse"}}
-    scene = psdr.load_dict({"type": "scene", "sensor": {"type": "perspective"}, "lamp": lamp,
-                            "floor": {"type": "rectangle", "bsdf": waves},
-                            "ball": {"type": "sphere", "bsdf": {"type": "plastic"}}})
-names = [name for name in scene.parameters if name.endswith(("reflectance.value", "vertex_positions"))]
-plan = psdr.plan(scene, names=names, integrator=psdr.PathIntegrator(max_depth=6, boundary=None))
-replay = sys.argv[3] == "replay"
-kernel = passes.camera_gradient_kernels(plan, "reverse")[0] if replay else make_primal_kernel(plan.config)
-wp.load_module(kernel.module, device="cpu")
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(acceleration.host_width() < 8, reason="narrow vectors: the compiler may find SIMD not worth it")
-@pytest.mark.parametrize("kernel", LOOPS)
-def test_loops_over_lanes_become_simd(kernel, tmp_path):
-    """Without it nothing would be wrong, and all of it slow; a refusal's reason is told by ``-Rpass-analysis``."""
-    result = subprocess.run(
-        [sys.executable, "-c", COMPILE, str(BOX), str(tmp_path), kernel], capture_output=True, text=True, cwd=ROOT
-    )
-    assert result.returncode == 0, result.stderr[-2000:]
-    name = "replay" if kernel == "replay" else "primal"
-    found = re.findall(rf"{name}\w*\.cpp:(\d+):\d+: remark: vectorized loop", result.stderr)
-    assert len(found) >= LOOPS[kernel][acceleration.host_width()], result.stderr[-2000:]

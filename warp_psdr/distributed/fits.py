@@ -99,7 +99,7 @@ class Views:
             total = wp.array(unpack(done.parts["gradient"]), dtype=wp.float32, device=scene.device)
             first = 0
             for name in names:
-                add_to_gradient(scene, problem.params, name, total, first)
+                add_to_gradient(problem.params[name], total, first)
                 first += scene.parameters[name].size
         return found
 

@@ -205,7 +205,7 @@ class Pool:
             for name in names:
                 p = scene.parameters[name]
                 gradient[name] += total.numpy()[p.offset : p.offset + p.size].reshape(p.numpy_shape)
-                add_to_gradient(scene, params, name, total, p.offset)
+                add_to_gradient(params[name], total, p.offset)
         return gradient
 
     @warns

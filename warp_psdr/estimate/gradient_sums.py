@@ -17,7 +17,6 @@ from warp_psdr.kernels.reduction import add_range, round_range
 from warp_psdr.scene.derived_values import derived_ranges, pull_derived
 
 if TYPE_CHECKING:
-    from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
 
 
@@ -99,11 +98,12 @@ class GradientSums:
                 workers.add_pairs(self._sums.numpy()[:, offset : offset + size])
 
 
-def add_to_gradient(scene: Scene, params: Parameters, name: str, total: wp.array, offset: int) -> None:
-    """Add a stretch of flat values, float32, to a parameter's own gradient."""
-    size, grad = scene.parameters[name].size, params[name].grad
-    flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=scene.device, copy=False)
-    launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=scene.device)
+def add_to_gradient(array: wp.array, total: wp.array, offset: int) -> None:
+    """Add a stretch of flat values, float32, to the gradient of the array that holds a parameter."""
+    grad = array.grad
+    size = grad.size * wp.types.type_size(grad.dtype)
+    flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=grad.device, copy=False)
+    launch(add_range, dim=size, inputs=[total, offset], outputs=[flat], device=grad.device)
 
 
 def _united(ranges: list[tuple[int, int]]) -> list[tuple[int, int]]:

@@ -115,7 +115,8 @@ class Parameters(Mapping):
 
     def __getitem__(self, name: str) -> wp.array:
         self._parameter(name)
-        return self._views[name]
+        bound = self._scene.bindings.get(name)
+        return self._views[name] if bound is None else bound
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._views)
@@ -156,8 +157,34 @@ class Parameters(Mapping):
         single = isinstance(values, wp.array) or getattr(values, "dtype", None) == np.float32
         checked = self.check(name, values, "value", np.float32 if single else np.float64)
         check_range(checked.astype(np.float32, copy=False), "params", *self.bounds(name), repr(name))
-        self._scene.place(name, checked)
+        bound = self._scene.bindings.get(name)
+        if bound is not None:
+            bound.assign(checked.astype(np.float32, copy=False))
+        else:
+            self._scene.place(name, checked)
         self._scene.pending.add(name)
+
+    def bind(self, name: str, array: wp.array | None) -> None:
+        """Let an array of yours be a parameter: ``params[name]`` is that array, and its gradient arrives in its own.
+
+        What it holds is read whenever the scene follows edits, with each call that renders. A simulator's array of
+        positions is bound once a frame, for renderings on one tape: every frame then keeps its own array. If the array
+        has a gradient, the parameter is requested as by ``requires_grad``.
+
+        Args:
+            name: a parameter's name.
+            array: contiguous, of the parameter's type and shape, on the scene's device. None: the scene's own array is
+                the parameter again, with the values that were followed last.
+
+        Raises:
+            KeyError: there is no such parameter.
+            TypeError: this is no array of the parameter's type.
+            ValueError: another shape or device.
+        """
+        self._parameter(name)
+        self._scene.bindings.set(name, array)
+        if name in self._requested or (array is not None and array.requires_grad):
+            self.requires_grad(name)
 
     def check(self, name: str, values, what: str, dtype: type = np.float32) -> np.ndarray:
         """Return ``values`` as float32 (or ``dtype``) in the parameter's NumPy shape.
@@ -241,10 +268,10 @@ class Parameters(Mapping):
         requested = list(dict.fromkeys(names))
         for name in self._requested:
             if name not in requested:
-                self._views[name].requires_grad = False
+                self[name].requires_grad = False
         for name in requested:
-            if self._views[name].grad is None:
-                self._views[name].requires_grad = True
+            if self[name].grad is None:
+                self[name].requires_grad = True
         self._requested = requested
 
     @property
@@ -255,7 +282,7 @@ class Parameters(Mapping):
     def zero_grad(self) -> None:
         """Set the gradients of the requested parameters to zero."""
         for name in self._requested:
-            self._views[name].grad.zero_()
+            self[name].grad.zero_()
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Return the valid range of a parameter's values, for example (0, 1) for a reflectance."""

@@ -20,9 +20,10 @@ from warp_psdr.kernels.step import RAY_EPSILON
 from warp_psdr.kernels.structs import Media, Medium
 from warp_psdr.kernels.surface import update_triangles
 from warp_psdr.scene.acceleration import Accelerator
+from warp_psdr.scene.bindings import Bindings
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.derived_values import sum_of_normals
-from warp_psdr.scene.edits import Edits, State, check_media, has_results, write_parts
+from warp_psdr.scene.edits import Edits, State, check_media, differing, has_results, write_parts
 from warp_psdr.scene.kinds.kind import Geometry, geometry_of
 from warp_psdr.scene.kinds.records import Followers, update_record
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
@@ -96,6 +97,7 @@ class Scene:
         self.invalid = Ledger()
         #: Parameters that were assigned since the scene followed them.
         self.pending: set[str] = set()
+        self.bindings = Bindings(self)
         self._unfinished: list[str] = []
         self._uncounted = wp.zeros(COUNTER_SIZE, dtype=wp.int64, device=self.device)
         self._unmeasured = wp.zeros(1, dtype=wp.float32, device=self.device)
@@ -291,6 +293,7 @@ class Scene:
 
     def settle(self, names: Iterable[str] = ()) -> None:
         """Follow all edits; ``names``: what was edited in place, else checksums tell."""
+        self.bindings.follow()
         changed = self.pending.union(names or self.edited())
         self.refresh([name for name in self.parameters if name in changed])
         self.pending.clear()
@@ -319,11 +322,7 @@ class Scene:
     def restore(self, state: State) -> None:
         """Go back to a state of this scene, to the bit; what was edited since and is not refreshed is lost."""
         held = self.values.numpy()
-        changed = [
-            p
-            for p in self.parameters.values()
-            if not np.array_equal(held[p.offset : p.offset + p.size], state.values[p.offset : p.offset + p.size])
-        ]
+        changed = differing(self.parameters.values(), held, state.values)
         self.poses.restore(state.local)
         if changed:
             write_parts(self.values, held, state.values)

@@ -1,0 +1,97 @@
+"""The values of a scene at several moments, and the way back to them: each rendering on a tape has its own."""
+
+from __future__ import annotations
+
+import contextlib
+import weakref
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import warp as wp
+
+from warp_psdr.scene.edits import State
+from warp_psdr.scene.poses import Local
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.scene import Scene
+
+#: Numbers that are kept together where any of them differs.
+BLOCK = 1024
+
+
+@contextlib.contextmanager
+def held_at(scene: Scene, state: State) -> Iterator[None]:
+    """Let a scene hold a state for a while, whatever arrays are bound to it, and then again what it holds now."""
+    scene.settle()
+    later, arrays = scene.state(), scene.bindings.suspend()
+    try:
+        scene.restore(state)
+        yield
+    finally:
+        scene.restore(later)
+        scene.bindings.resume(arrays)
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A moment: the blocks whose values differ from those of the first moment, and poses."""
+
+    frames: Frames
+    blocks: dict[int, np.ndarray]
+    local: dict[int, Local]
+
+    @property
+    def state(self) -> State:
+        """What the scene held."""
+        values = self.frames.first.copy()
+        for number, block in self.blocks.items():
+            values[number * BLOCK : number * BLOCK + block.size] = block
+        return State(values, self.local)
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes that it takes, beside the first moment."""
+        return sum(block.nbytes for block in self.blocks.values())
+
+
+class Frames:
+    """The moments of a scene that a tape goes back to.
+
+    Args:
+        scene: the scene.
+        tape: the tape.
+
+    Attributes:
+        first: all values at the first moment, float32.
+        count: number of moments.
+    """
+
+    def __init__(self, scene: Scene, tape: wp.Tape):
+        self.scene, self.tape = scene, weakref.ref(tape)
+        self.first = scene.values.numpy().copy()
+        self.count = 0
+
+    def take(self) -> Frame:
+        """Keep what the scene holds now."""
+        self.count += 1
+        held = self.scene.values.numpy()
+        bits, first = held.view(np.int32), self.first.view(np.int32)
+        starts = np.arange(0, held.size, BLOCK)
+        differ = np.flatnonzero(np.logical_or.reduceat(bits != first, starts)) if held.size else []
+        blocks = {int(i): held[i * BLOCK : (i + 1) * BLOCK].copy() for i in differ}
+        return Frame(self, blocks, self.scene.poses.state())
+
+
+#: By the numbers of a tape and of a scene; what a tape records keeps them.
+_of_tapes: weakref.WeakValueDictionary[tuple[int, int], Frames] = weakref.WeakValueDictionary()
+
+
+def frames_of(tape: wp.Tape, scene: Scene) -> Frames:
+    """Return the moments of a scene on a tape."""
+    key = id(tape), id(scene)
+    found = _of_tapes.get(key)
+    if found is None or found.tape() is not tape or found.scene is not scene:
+        found = _of_tapes[key] = Frames(scene, tape)
+    return found
