@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.image_io import read_image, write_image
     from warp_psdr.invalid import invalid_samples
     from warp_psdr.moment import render_moment
+    from warp_psdr.newton import from_newton
     from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
     from warp_psdr.options.methods import methods
     from warp_psdr.parts import render_parts
@@ -62,6 +63,7 @@ __all__ = [
     "coverage",
     "distributed",
     "fit",
+    "from_newton",
     "guiding",
     "image_io",
     "interior",
@@ -115,6 +117,7 @@ _PUBLIC = {
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
     "coverage": "coverage",
+    "from_newton": "newton",
     "invalid_samples": "invalid",
     "load_dict": "scene.load",
     "load_file": "scene.load",

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import weakref
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import warp as wp
 
 from warp_psdr import compiler
-from warp_psdr.kernels.shape.rigid import poses_of_bodies
+from warp_psdr.kernels.shape.rigid import gather_points, poses_of_bodies
 from warp_psdr.scene.parameters import parameter_of
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
 
 __all__ = ["bind"]
 
@@ -21,9 +24,32 @@ __all__ = ["bind"]
 Names = str | tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Simulation:
+    """What a simulator's state moves in a scene: arguments of ``bind``, and particles by the names of vertices.
+
+    Attributes:
+        bodies: name of a ``to_world`` -> number of its body.
+        local: name of a ``to_world`` -> (4, 4), see ``bind``.
+        particles: name of ``vertex_positions`` -> numbers of its particles.
+    """
+
+    bodies: Mapping[str, int]
+    local: Mapping[str, Any]
+    particles: Mapping[str, np.ndarray]
+
+
+_simulations: weakref.WeakKeyDictionary[Scene, Simulation] = weakref.WeakKeyDictionary()
+
+
+def remember(scene: Scene, simulation: Simulation) -> None:
+    """Let ``bind`` know what a simulator's state moves in a scene."""
+    _simulations[scene] = simulation
+
+
 def bind(
     params: Parameters,
-    state: Mapping[Names, wp.array],
+    state: Mapping[Names, wp.array] | Any,
     *,
     bodies: Mapping[str, int] | None = None,
     local: Mapping[str, Any] | None = None,
@@ -37,7 +63,7 @@ def bind(
         params: parameters of a scene. Those whose arrays have gradients become requested.
         state: arrays by parameter name, as for ``params.bind``. ``to_world`` also takes a ``wp.array`` of
             ``wp.transform`` (position in world units, and a quaternion x, y, z, w): of one element, or of several under
-            a tuple of names, in their order.
+            a tuple of names, in their order. For a scene of ``psdr.from_newton`` also a ``newton.State``.
         bodies: name of a ``to_world`` -> number in its array of transforms, if not that of its place in the tuple; -1
             for what is fixed to the world.
         local: name of a ``to_world`` -> (4, 4), which stands behind the transform: pose = transform x local, for
@@ -45,9 +71,13 @@ def bind(
 
     Raises:
         KeyError: there is no such parameter.
-        TypeError: a value is no array of the parameter's type, nor of transforms.
+        TypeError: a value is no array of the parameter's type, nor of transforms; the scene has no model that a state
+            could be of.
         ValueError: an array has another size, or lies on another device.
     """
+    if not isinstance(state, Mapping):
+        _bind_state(params, state)
+        return
     for key, array in state.items():
         names = (key,) if isinstance(key, str) else tuple(key)
         if isinstance(array, wp.array) and array.dtype is wp.transform:
@@ -58,6 +88,33 @@ def bind(
             raise TypeError(
                 f"bind: several names, {names}, take one wp.array of wp.transform, got {type(array).__name__}"
             )
+
+
+def _bind_state(params: Parameters, state: Any) -> None:
+    """Bind the bodies and particles of a simulator's state (``body_q``, ``particle_q``)."""
+    scene = params.scene
+    simulation = _simulations.get(scene)
+    if simulation is None:
+        raise TypeError(
+            f"bind: got {type(state).__name__}, expected arrays by parameter name; a newton.State is for a scene of "
+            "psdr.from_newton"
+        )
+    if simulation.bodies:
+        names = tuple(simulation.bodies)
+        _bind_bodies(params, names, state.body_q, simulation.bodies, simulation.local)
+    for name, numbers in simulation.particles.items():
+        points = state.particle_q
+        if numbers.max() >= points.size:
+            raise ValueError(
+                f"bind {name!r}: the state has {points.size} particles, expected {numbers.max() + 1} or more"
+            )
+        if numbers.size < points.size:
+            gathered = wp.zeros(numbers.size, dtype=wp.vec3, device=scene.device, requires_grad=points.requires_grad)
+            compiler.ensure([gather_points], scene.device)
+            inputs = [points, wp.array(numbers.astype(np.int32), device=scene.device)]
+            wp.launch(gather_points, dim=numbers.size, inputs=inputs, outputs=[gathered], device=scene.device)
+            points = gathered
+        params.bind(name, points)
 
 
 def _bind_bodies(
