@@ -29,6 +29,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.parts import render_parts
     from warp_psdr.plan.plan import Plan, plan
     from warp_psdr.render import render, render_backward, render_forward
+    from warp_psdr.rollout import rollout
     from warp_psdr.scene.acceleration import set_ray_backend, set_vector_width
     from warp_psdr.scene.cornell_box import cornell_box
     from warp_psdr.scene.files.own_meshes import load_mesh, preview_scene
@@ -85,6 +86,7 @@ __all__ = [
     "render_forward",
     "render_moment",
     "render_parts",
+    "rollout",
     "scenes",
     "sdf",
     "set_ray_backend",
@@ -133,6 +135,7 @@ _PUBLIC = {
     "render_forward": "render",
     "render_moment": "moment",
     "render_parts": "parts",
+    "rollout": "rollout",
     "set_ray_backend": "scene.acceleration",
     "set_vector_width": "scene.acceleration",
     "set_workers": "workers",
