@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import warp as wp
+from PIL import Image
 
 import warp_psdr as psdr
 from warp_psdr import plots
@@ -34,6 +35,22 @@ def run(
         for name, value in main(**options).items():
             print(f"{name}: {value}")
     print(f"pictures in {main.__defaults__[0]}")
+
+
+def write_film(path: Path, films: list[list[np.ndarray]], seconds: float, enlarged: int = 4) -> None:
+    """Write films side by side as an animated GIF.
+
+    Args:
+        path: of the file.
+        films: frames (H, W, 3) of each, linear; all have equal numbers.
+        seconds: how long it runs.
+        enlarged: pixels of the picture for each of the film, along an edge.
+    """
+    frames = [np.concatenate(images, axis=1) for images in zip(*films, strict=True)]
+    exposure = -float(np.log2(np.percentile(frames[0], 99.0)))
+    pictures = [np.uint8(255.0 * plots.tonemap(frame, exposure=exposure) + 0.5) for frame in frames]
+    big = [Image.fromarray(picture.repeat(enlarged, 0).repeat(enlarged, 1)) for picture in pictures]
+    big[0].save(path, save_all=True, append_images=big[1:], duration=1000.0 * seconds / len(big), loop=0)
 
 
 @wp.kernel

@@ -30,7 +30,7 @@ HEADER_LINES = 15
 CODE_COLUMNS = 90
 PAGES_WITH_CODE = [
     *("index.md", "start.md", "from_mitsuba.md", "pytorch.md", "cluster.md", "troubleshooting.md"),
-    "gallery.md",
+    *("gallery.md", "simulate.md"),
 ]
 
 

@@ -66,8 +66,8 @@ def bind(
             a tuple of names, in their order. For a scene of ``psdr.from_newton`` also a ``newton.State``.
         bodies: name of a ``to_world`` -> number in its array of transforms, if not that of its place in the tuple; -1
             for what is fixed to the world.
-        local: name of a ``to_world`` -> (4, 4), which stands behind the transform: pose = transform x local, for
-            example the shape's scale. Default: the unit matrix.
+        local: name of a ``to_world`` -> (4, 4), which stands behind the transform: pose = transform x local. Default:
+            the size that the shape was loaded with, what its ``to_world`` does beside turning and moving it.
 
     Raises:
         KeyError: there is no such parameter.
@@ -88,6 +88,19 @@ def bind(
             raise TypeError(
                 f"bind: several names, {names}, take one wp.array of wp.transform, got {type(array).__name__}"
             )
+
+
+def _size(scene: Scene, name: str) -> np.ndarray:
+    """Return the symmetric factor of the pose that a shape was loaded with (polar decomposition), (4, 4)."""
+    size, owner = np.eye(4), scene.parameters[name].owner
+    loaded = scene.description.shapes[owner].to_world if 0 <= owner < len(scene.description.shapes) else None
+    if loaded is not None:
+        linear = np.asarray(loaded, float)[:3, :3]
+        _turn, stretches, axes = np.linalg.svd(linear)
+        if np.linalg.det(linear) < 0.0:
+            stretches[-1] *= -1.0  # a mirror image stays one
+        size[:3, :3] = axes.T @ np.diag(stretches) @ axes
+    return size
 
 
 def _bind_state(params: Parameters, state: Any) -> None:
@@ -131,7 +144,8 @@ def _bind_bodies(
     device = params.scene.device
     if transforms.device != device:
         raise ValueError(f"bind: the transforms are on {transforms.device}, the scene on {device}")
-    behind = np.stack([np.asarray(local.get(name, np.eye(4)), np.float32) for name in names])
+    given = [local[name] if name in local else _size(params.scene, name) for name in names]
+    behind = np.stack([np.asarray(matrix, np.float32) for matrix in given])
     poses = wp.zeros((len(names), 4, 4), dtype=wp.float32, device=device, requires_grad=bool(transforms.requires_grad))
     compiler.ensure([poses_of_bodies], device)
     inputs = [transforms, wp.array(numbers, device=device), wp.array(behind, dtype=wp.mat44, device=device)]

@@ -8,6 +8,7 @@ from collections.abc import Iterable
 GROUPS: dict[str, tuple[str, ...]] = {
     "Load, edit, render": (
         *("load_file", "load_dict", "traverse", "render", "render_backward", "render_forward"),
+        *("bind", "from_newton", "rollout"),
         *("PathIntegrator", "AovIntegrator", "Parameters", "Transform"),
     ),
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),

@@ -84,7 +84,6 @@ def test_shape_is_recovered(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.slow
 def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
     module = example("pose_from_shadow")
     module.bunny_data.read_bunny = horned
@@ -104,6 +103,25 @@ def test_pose_is_found_from_the_shadow(example, tmp_path: Path) -> None:
         images.append(psdr.render(params.scene, integrator=psdr.PathIntegrator(max_depth=2), spp=4).numpy())
     np.testing.assert_array_equal(*images)
     assert contrast(tmp_path / "result.png") > 0.05
+
+
+@pytest.mark.slow
+def test_throw_is_found_from_the_shadow(example, tmp_path: Path) -> None:
+    module = example("throw_from_shadow")
+    report = module.main(tmp_path, width=32, frames=8, steps=25, spp=8)
+    assert report["error"] < 0.05 < np.linalg.norm(module.START - module.TRUTH) / np.linalg.norm(module.TRUTH) / 4.0
+    assert json.loads((tmp_path / "report.json").read_text()) == report
+    assert contrast(tmp_path / "result.png") > 0.05
+    from PIL import Image
+
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames == 8 and film.size == (256, 128)
+    # The camera sees nothing but the floor: painting the ball changes no pixel.
+    flight, films = module.Flight(module.load(32), 8), []
+    for albedo in (0.0, 1.0):
+        flight.params["ball.bsdf.reflectance.value"] = albedo
+        films.append(np.stack([image.numpy() for image in flight.film(1, 4)]))
+    np.testing.assert_array_equal(*films)
 
 
 @pytest.mark.slow

@@ -226,6 +226,30 @@ def poses_at(value, t):
     return {name: pose @ SIZES[name] for name, pose in zip(POSES, found, strict=True)}
 
 
+def test_bodies_keep_the_size_that_they_were_loaded_with():
+    """Turned and stretched boxes, a ball of a radius, and a mirror image."""
+    turned = T.rotate([0.3, 1.0, 0.2], 50.0)
+    shapes = {
+        "box": {"type": "cube", "to_world": T.translate([1.0, 2.0, 3.0]) @ turned @ T.scale([0.2, 0.3, 0.4])},
+        "ball": {"type": "sphere", "center": [0.5, 0.0, 0.0], "radius": 0.25},
+        "mirrored": {"type": "cube", "to_world": T.scale([-0.2, 0.3, 0.4])},
+    }
+    params = psdr.traverse(psdr.load_dict(node(**shapes)))
+    sizes = {"box": 8 * 0.2 * 0.3 * 0.4, "ball": 4.0 / 3.0 * np.pi * 0.25**3, "mirrored": -8 * 0.2 * 0.3 * 0.4}
+    at = wp.array([(0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)], dtype=wp.transform, device="cpu")
+    for name, volume in sizes.items():
+        pose = f"{name}.to_world"
+        unit = volume / np.linalg.det(params[pose].numpy())
+        psdr.bind(params, {pose: at})
+        linear = params[pose].numpy()[:3, :3]
+        np.testing.assert_allclose(linear, linear.T, atol=1e-6)
+        assert np.linalg.det(linear) * unit == pytest.approx(volume, rel=1e-5)
+    params.update()
+    ball = params["ball.vertex_positions"].numpy()
+    np.testing.assert_allclose(0.5 * (ball.min(axis=0) + ball.max(axis=0)), [0.1, 0.2, 0.3], atol=1e-3)
+    assert np.ptp(ball, axis=0).max() == pytest.approx(0.5, rel=1e-2)
+
+
 def film_of_boxes(scene, params, value, **options):
     """Return the spin, the images of two frames, and the tape."""
     spin, tape, images = gravity_of(value), wp.Tape(), []
