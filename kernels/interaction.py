@@ -40,8 +40,9 @@ def make_interaction_record(material: type) -> type:
     """Return the Warp struct ``Interaction`` for a scene's record of material values.
 
     Its members: ``x`` the point, ``ng`` the unit geometric normal, ``frame``, ``wi`` the local direction towards where
-    the ray came from, ``step`` by which rays leave the surface (world units), ``model`` the number of the scattering
-    model, ``shape`` its number, ``slots`` where the numbers of the material's textures start, ``material`` its values.
+    the ray came from, ``step`` by which rays leave the surface (world units), ``shape`` its number, ``model`` the
+    number of the scattering model, ``slots`` where the numbers of the material's textures start, ``material`` its
+    values. From ``model`` on it is what ``Scene.baked`` holds of every scattering record.
     """
     types = {
         "x": wp.vec3,
@@ -49,20 +50,12 @@ def make_interaction_record(material: type) -> type:
         "frame": Frame,
         "wi": wp.vec3,
         "step": wp.float32,
-        "model": wp.int32,
         "shape": wp.int32,
+        "model": wp.int32,
         "slots": wp.int32,
         "material": material,
     }
     name = "Interaction_" + material.key.rsplit(".", 1)[-1]
-    return make_struct(name, types)
-
-
-@functools.cache
-def make_looked_up_record(material: type) -> type:
-    """Return the Warp struct of what the scene's tables say of a point; members as in ``Interaction`` and ``Frame``."""
-    types = {"side": wp.float32, "model": wp.int32, "slots": wp.int32, "material": material}
-    name = "LookedUp_" + material.key.rsplit(".", 1)[-1]
     return make_struct(name, types)
 
 
@@ -121,15 +114,17 @@ class InteractionParts(NamedTuple):
     Attributes:
         surface_of: ``(scene, tri, u, v) -> Surface``.
         surface_of_triangle: the same, ``tri`` a triangle.
-        looked_up: the struct of what ``look_up`` returns.
-        look_up: ``(scene, surface, behind, face, u, v) -> looked_up``; ``behind``: the ray arrives at the back.
-        put_together: ``(scene, tri, surface, found, d) -> record``.
+        side_of: ``(scene, surface, behind) -> (side, number of the scattering record)``; ``behind``: the ray arrives at
+            the back.
+        complete: ``(scene, at: record, number, side, surface, face, u, v) -> record`` with those material values that
+            vary over a surface, beside those of ``Scene.baked``. None: there are none.
+        put_together: ``(scene, at: record, side, tri, surface, d) -> record`` with all but what ``Scene.baked`` has.
     """
 
     surface_of: wp.Function
     surface_of_triangle: wp.Function
-    looked_up: type
-    look_up: wp.Function
+    side_of: wp.Function
+    complete: wp.Function | None
     put_together: wp.Function
 
 
@@ -174,50 +169,78 @@ class Interactions(NamedTuple):
 def make_parts(surfaces: SurfaceConfig, record: type) -> InteractionParts:
     """Return the steps that make a ``record`` of the scene's interactions."""
     surface_of = make_surface_at(surfaces.smooth, surfaces.flat, surfaces.uv, surfaces.tangent, surfaces.primitives)
-    partials = make_partials(surfaces.primitives)
     step_off = make_leaving(surfaces.primitives)
-    looked_up = make_looked_up_record(make_bsdf(surfaces.bsdfs).record)
-    side_of = make_side(surfaces.two_sided)
+    side_of_record = make_side(surfaces.two_sided)
     frame_on = make_framing(surfaces.tangent)
-    material_at = make_material(surfaces.bsdfs, surfaces.material, surfaces.primitives)
-    measured = make_measures(surfaces.bsdfs, surfaces.material)
 
     @wp.func
-    def look_up(
-        scene: Scene, surface: Surface, behind: wp.bool, face: wp.int32, u: wp.float32, v: wp.float32
-    ) -> looked_up:
-        side, number = side_of(scene, shape_at(scene, surface.shape).bsdf, behind)
-        b = bsdf_at(scene, number)
-        result = looked_up()
-        result.side = side
-        result.model = b.model
-        result.slots = b.slots
-        result.material = material_at(scene, b.slots, face, u, v, surface.uv)
-        if wp.static(measured is not None):
-            metric = wp.vec3(0.0, 0.0, 0.0)
-            if wp.static(measures_metric(surfaces.material)):
-                frame = frame_on(side, surface.n, surface.tangent)
-                dp_du, dp_dv = partials(scene, triangle_at(scene, face), u, v)
-                metric = wp.vec3(wp.dot(dp_du, frame.s), wp.dot(dp_dv, frame.s), wp.dot(dp_dv, frame.t))
-            result.material = measured(result.material, side, metric)
-        return result
+    def side_of(scene: Scene, surface: Surface, behind: wp.bool) -> tuple[wp.float32, wp.int32]:
+        side, number = side_of_record(scene, shape_at(scene, surface.shape).bsdf, behind)
+        return side, number
 
     @wp.func
-    def put_together(scene: Scene, tri: Triangle, surface: Surface, found: looked_up, d: wp.vec3) -> record:
-        at = record()
+    def put_together(scene: Scene, at: record, side: wp.float32, tri: Triangle, surface: Surface, d: wp.vec3) -> record:
         at.x = surface.x
         at.ng = surface.ng
-        at.frame = frame_on(found.side, surface.n, surface.tangent)
+        at.frame = frame_on(side, surface.n, surface.tangent)
         at.wi = enter_frame(at.frame, -d)
         at.step = step_off(scene, tri)
-        at.model = found.model
         at.shape = surface.shape
-        at.slots = found.slots
-        at.material = found.material
         return at
 
     of_triangle = make_surface_at(surfaces.smooth, surfaces.flat, surfaces.uv, surfaces.tangent, ())
-    return InteractionParts(surface_of, of_triangle, looked_up, look_up, put_together)
+    return InteractionParts(surface_of, of_triangle, side_of, _make_complete(surfaces, record), put_together)
+
+
+@functools.cache
+def _make_measure(surfaces: SurfaceConfig, record: type) -> wp.Function | None:
+    """Return ``measure(scene, at: record, side, surface, face, u, v) -> record``: values that the geometry gives."""
+    measured = make_measures(surfaces.bsdfs, surfaces.material)
+    if measured is None:
+        return None
+    partials, frame_on = make_partials(surfaces.primitives), make_framing(surfaces.tangent)
+
+    @wp.func
+    def measure(
+        scene: Scene, at: record, side: wp.float32, surface: Surface, face: wp.int32, u: wp.float32, v: wp.float32
+    ) -> record:
+        metric = wp.vec3(0.0, 0.0, 0.0)
+        if wp.static(measures_metric(surfaces.material)):
+            frame = frame_on(side, surface.n, surface.tangent)
+            dp_du, dp_dv = partials(scene, triangle_at(scene, face), u, v)
+            metric = wp.vec3(wp.dot(dp_du, frame.s), wp.dot(dp_dv, frame.s), wp.dot(dp_dv, frame.t))
+        at.material = measured(at.material, side, metric)
+        return at
+
+    return measure
+
+
+def _make_complete(surfaces: SurfaceConfig, record: type) -> wp.Function | None:
+    """Return ``complete`` of ``InteractionParts``."""
+    varied_at = make_material(surfaces.bsdfs, surfaces.material, surfaces.primitives, varied=True)
+    measure = _make_measure(surfaces, record)
+    if varied_at is None and measure is None:
+        return None
+
+    @wp.func
+    def complete(
+        scene: Scene,
+        at: record,
+        number: wp.int32,
+        side: wp.float32,
+        surface: Surface,
+        face: wp.int32,
+        u: wp.float32,
+        v: wp.float32,
+    ) -> record:
+        if wp.static(varied_at is not None):
+            if bsdf_at(scene, number).varied == 1:
+                at.material = varied_at(scene, at.material, at.slots, face, u, v, surface.uv)
+        if wp.static(measure is not None):
+            at = measure(scene, at, side, surface, face, u, v)
+        return at
+
+    return complete
 
 
 @functools.cache
@@ -226,7 +249,9 @@ def make_interaction(surfaces: SurfaceConfig, lights: LightConfig, selects: bool
     bsdf = make_bsdf(surfaces.bsdfs, selects)
     record = make_interaction_record(bsdf.record)
     parts = make_parts(surfaces, record)
-    surface_of, _of_triangle, _looked_up, look_up, put_together = parts
+    surface_of, side_of, put_together = parts.surface_of, parts.side_of, parts.put_together
+    material_at = make_material(surfaces.bsdfs, surfaces.material, surfaces.primitives)
+    measure = _make_measure(surfaces, record)
     emission = make_area(lights.area, lights.shining).emitted if lights.area else None
 
     @wp.func
@@ -234,18 +259,29 @@ def make_interaction(surfaces: SurfaceConfig, lights: LightConfig, selects: bool
         return surface_of(scene, triangle_at(scene, face), u, v)
 
     @wp.func
+    def interaction_of(
+        scene: Scene, tri: Triangle, surface: Surface, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3
+    ) -> record:
+        side, number = side_of(scene, surface, wp.dot(surface.n, -d) < 0.0)
+        b = bsdf_at(scene, number)
+        at = record()
+        at.model = b.model
+        at.slots = b.slots
+        at.material = material_at(scene, at.material, b.slots, face, u, v, surface.uv)
+        if wp.static(measure is not None):
+            at = measure(scene, at, side, surface, face, u, v)
+        return put_together(scene, at, side, tri, surface, d)
+
+    @wp.func
     def interaction_on(
         scene: Scene, surface: Surface, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3
     ) -> record:
-        found = look_up(scene, surface, wp.dot(surface.n, -d) < 0.0, face, u, v)
-        return put_together(scene, triangle_at(scene, face), surface, found, d)
+        return interaction_of(scene, triangle_at(scene, face), surface, face, u, v, d)
 
     @wp.func
     def interaction_at(scene: Scene, face: wp.int32, u: wp.float32, v: wp.float32, d: wp.vec3) -> record:
         tri = triangle_at(scene, face)
-        surface = surface_of(scene, tri, u, v)
-        found = look_up(scene, surface, wp.dot(surface.n, -d) < 0.0, face, u, v)
-        return put_together(scene, tri, surface, found, d)
+        return interaction_of(scene, tri, surface_of(scene, tri, u, v), face, u, v, d)
 
     @wp.func
     def sample(at: record, u: wp.float32, v: wp.vec2) -> BsdfSample:

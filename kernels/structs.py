@@ -70,6 +70,7 @@ class Bsdf:
     two_sided: wp.int32  # 1: both sides scatter; the back side uses the record ``back``
     back: wp.int32
     slots: wp.int32  # first index in ``Scene.slots``
+    varied: wp.int32  # 1: some of its textures are not constant
     lobes: wp.int32  # bit k: the model has the lobe LOBE_* = k; LOBE_BEHIND: a smooth one behind its surface
 
 
@@ -156,6 +157,9 @@ class Scene:
     bsdfs: wp.array(dtype=Bsdf)
     slots: wp.array(dtype=wp.int32)  # texture numbers of material values, see ``bsdf/record.py``
     textures: wp.array(dtype=Texture)
+    #: Of each of ``bsdfs``, for paths side by side: model, slots, and the values that textures hold which are constant,
+    #: as in ``Interaction``; see ``warp_psdr/scene/materials/baked.py``.
+    baked: wp.array(dtype=wp.uint32)
     emitters: wp.array(dtype=Emitter)
     emitter_cdf: wp.array(dtype=wp.float32)  # cumulative selection probabilities, length n + 1, from 0 to 1
     face_cdf: wp.array(dtype=wp.float32)  # cumulative, normalised triangle areas of each area light, n + 1 a light

@@ -120,7 +120,7 @@ def make_kept_lanes(
             surface = on_places.surfaces.get(rows, j)
             stood = RecordedScattering()
             stood.n = place.frame.n
-            stood.side = on_places.looked_up.get(rows, j).side
+            stood.side = place.frame.side
             stood.length = surface.length
             stood.uv = surface.uv
             stood.reflectance = place.material.reflectance

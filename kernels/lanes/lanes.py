@@ -148,22 +148,24 @@ def make_number(width: int):
     )
 
 
+def stride_of(count: int) -> int:
+    """Number of words by which records of ``count`` words lie apart where they are fetched: a multiple of four."""
+    return -(-count // 4) * 4
+
+
 @functools.cache
-def make_fetch(record, width: int):
-    """Return ``fetch(records, rows, index, first)``: records of an array in lanes.
+def make_fetch(dtype: type, width: int, count: int):
+    """Return ``fetch(records, rows, index, first)``: records of ``count`` words of an array in lanes.
 
-    The words of ``records[n]``, n the number in row ``index``, in the rows ``first`` on; n < 0 counts as 0. The struct
-    has a multiple of four words. Four words of a record are loaded at once and transposed between lanes, in registers:
-    of records in many words that is a fraction of the time of gathers, which load every word by itself.
+    The words of record n, the number in row ``index``, in the rows ``first`` on; n < 0 counts as 0. In the array of
+    ``dtype`` a record starts every ``stride_of(count)`` words. Four words of a record are loaded at once and transposed
+    between lanes, in registers: of records in many words that is a fraction of the time of gathers, which load every
+    word by itself.
     """
-    count = words(record)
-    if count % 4:
-        raise ValueError(f"{record.key} has {count} words; expected a multiple of four")
 
-    def fetch(records: wp.array(dtype=record), rows: ROWS, index: wp.int32, first: wp.int32):
+    def fetch(records: wp.array(dtype=dtype), rows: ROWS, index: wp.int32, first: wp.int32):
         return
 
-    name = record.key.rsplit(".", 1)[-1].lower()
     snippet = """
     typedef float f4 __attribute__((ext_vector_type(4), aligned(4), may_alias));
     typedef float vf __attribute__((ext_vector_type($W), aligned(4), may_alias));
@@ -189,7 +191,7 @@ def make_fetch(record, width: int):
     const char32_t* numbers = (const char32_t*)rows.data + index * $W;
     const float* from[$W];
     for (int j = 0; j < $W; ++j)
-        from[j] = (const float*)(records.data + ((int)numbers[j] < 0 ? 0 : (int)numbers[j]));
+        from[j] = (const float*)records.data + ((int)numbers[j] < 0 ? 0 : (int)numbers[j]) * (size_t)$STRIDE;
     float* to = (float*)rows.data + first * $W;
     #pragma clang loop unroll(full)
     for (int word = 0; word < $COUNT; word += 4) {
@@ -199,9 +201,12 @@ def make_fetch(record, width: int):
         const vf p = __builtin_shufflevector(a, b, $LOW), q = __builtin_shufflevector(c, d, $LOW);
         const vf r = __builtin_shufflevector(a, b, $HIGH), s = __builtin_shufflevector(c, d, $HIGH);
         *(vf*)(to + word * $W) = __builtin_shufflevector(p, q, $FIRST);
-        *(vf*)(to + (word + 1) * $W) = __builtin_shufflevector(p, q, $SECOND);
-        *(vf*)(to + (word + 2) * $W) = __builtin_shufflevector(r, s, $FIRST);
-        *(vf*)(to + (word + 3) * $W) = __builtin_shufflevector(r, s, $SECOND);
+        if (word + 1 < $COUNT)
+            *(vf*)(to + (word + 1) * $W) = __builtin_shufflevector(p, q, $SECOND);
+        if (word + 2 < $COUNT)
+            *(vf*)(to + (word + 2) * $W) = __builtin_shufflevector(r, s, $FIRST);
+        if (word + 3 < $COUNT)
+            *(vf*)(to + (word + 3) * $W) = __builtin_shufflevector(r, s, $SECOND);
     }
     """
     # Within each block of four, from two vectors: words 0 and 1 of both in turns, and so on.
@@ -210,4 +215,5 @@ def make_fetch(record, width: int):
     for key, order in orders.items():
         lanes = ", ".join(str(block + lane) for block in range(0, width, 4) for lane in order)
         snippet = snippet.replace(f"${key}", lanes)
-    return native(f"fetch_{name}", snippet.replace("$COUNT", str(count)), width, fetch)
+    snippet = snippet.replace("$COUNT", str(count)).replace("$STRIDE", str(stride_of(count)))
+    return native(f"fetch_{count}", snippet, width, fetch)

@@ -14,7 +14,7 @@ from warp_psdr.kernels.distribution import bucket_of
 from warp_psdr.kernels.emitter.env_cells import column_buckets, column_guide, row_buckets
 from warp_psdr.kernels.emitter.envmap import draw_in_cell
 from warp_psdr.kernels.generated import make_select
-from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, make_number, stack_rows, word_of, words
 from warp_psdr.kernels.reading import emitter_at, load_float, texture_record
 from warp_psdr.kernels.scattering import NextEvent, make_estimate, make_light_draw, make_next_event
 from warp_psdr.kernels.structs import Emitter, LightSample, Scene, Triangle
@@ -93,7 +93,7 @@ def make_light_lanes(
     """
     get_number, _put_number = make_number(width)
     where_light = make_select(LightSample)
-    fetch_triangle = make_fetch(Triangle, width)
+    fetch_triangle = make_fetch(Triangle, width, words(Triangle))
     sky = EMITTER_ENVMAP in lights.others
     sky_alone = sky and lights.one_light
     _pick, draw_one = make_light_draw(lights, left_out=(EMITTER_ENVMAP,))

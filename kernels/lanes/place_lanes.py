@@ -1,8 +1,9 @@
 """Interactions of all lanes in step (``path_lanes.py``): points, frames and materials.
 
-Triangles are fetched whole and transposed (``lanes.make_fetch``). Chains of numbers through the scene's tables, shape
-to material to texture to values, are followed lane by lane, with textures of any kind. As SIMD they would need a gather
-for each word, which takes as long as the loads or longer on the processors measured.
+Triangles, and what of materials no texture varies (``Scene.baked``), are fetched whole and transposed
+(``lanes.make_fetch``). Chains of numbers through the scene's tables, shape to material to texture to values, are
+followed lane by lane, with textures of any kind. As SIMD they would need a gather for each word, which takes as long as
+the loads or longer on the processors measured.
 """
 
 from typing import NamedTuple
@@ -12,7 +13,7 @@ import warp as wp
 from warp_psdr.kernels.emitter.dispatch import ENVIRONMENTS
 from warp_psdr.kernels.interaction import make_interaction
 from warp_psdr.kernels.invalid import finite
-from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_fetch, stack_rows, word_of, words
 from warp_psdr.kernels.lanes.model_lanes import model_bit
 from warp_psdr.kernels.math import where3
 from warp_psdr.kernels.primitive.affine import is_primitive
@@ -33,6 +34,19 @@ class LaneHit:
     behind: wp.int32  # 1: it arrives at the back
     u: wp.float32
     v: wp.float32
+
+
+@wp.struct
+class LaneMaterial:
+    """What a path's surface is made of."""
+
+    number: wp.int32  # of the scattering record
+    side: wp.float32  # as in ``Frame``
+
+
+def baked_words(record) -> int:
+    """Number of words of an interaction, its last ones, that ``Scene.baked`` holds of each scattering record."""
+    return words(record) - word_of(record, "model")
 
 
 @wp.func
@@ -60,7 +74,6 @@ class PlaceLanes(NamedTuple):
         choices: ``LaneHit``.
         triangles: ``Triangle``, those that paths stand on.
         surfaces: ``Surface``, at the same points.
-        looked_up: what the scene's tables say of those points, the struct of ``InteractionParts``.
         places: interactions, the struct of ``make_interaction``.
         emissions: ``EmissionHit``.
     """
@@ -73,7 +86,6 @@ class PlaceLanes(NamedTuple):
     choices: Rows
     triangles: Rows
     surfaces: Rows
-    looked_up: Rows
     places: Rows
     emissions: Rows
 
@@ -90,14 +102,17 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
     """
     emission_hit, sky_hit = make_emission_hit(config.lights, config.through), make_sky_hit(config.lights)
     interaction = make_interaction(config.surfaces, config.lights)
-    surface_of_any, surface_of, looked_up_record, look_up, put_together = interaction.parts
-    fetch_triangle = make_fetch(Triangle, width)
+    surface_of_any, surface_of, side_of, complete, put_together = interaction.parts
+    fetch_triangle = make_fetch(Triangle, width, words(Triangle))
     tables = any(slot.table for slot in config.surfaces.material)
+    fetch_baked = make_fetch(wp.uint32, width, baked_words(interaction.record))
     several = len(config.surfaces.bsdfs) > 1
     environment = any(kind in ENVIRONMENTS for kind in config.lights.others)
     choices, triangles, surfaces = stack_rows(width, first, LaneHit, Triangle, Surface)
-    looked_up, places, emissions = stack_rows(width, surfaces.end, looked_up_record, interaction.record, EmissionHit)
+    materials, places, emissions = stack_rows(width, surfaces.end, LaneMaterial, interaction.record, EmissionHit)
     triangle_row, face_row = triangles.first, choices.first + word_of(LaneHit, "face")
+    number_row = materials.first + word_of(LaneMaterial, "number")
+    baked_row = places.first + word_of(interaction.record, "model")
 
     @wp.func
     def see(rows: ROWS) -> wp.int32:
@@ -195,22 +210,34 @@ def make_place_lanes(config: PathConfig, width: int, first: int, states: Rows, h
             j += 1
         if wp.static(bool(config.surfaces.primitives)):
             stand_on_primitives(scene, standing, rows)
-        looked = wp.int32(standing)
-        if wp.static(tables):
-            looked = wp.int32(width)  # what is computed for lanes without a vertex, too, reads a table that exists
+        for j in range(width):  # one by one: SIMD would be gathers, which take longer
+            surface = surfaces.get(rows, j)
+            side, number = side_of(scene, surface, choices.get(rows, j).behind == 1)
+            material = LaneMaterial()
+            material.number = number
+            material.side = side
+            materials.put(rows, j, material)
+        fetch_baked(scene.baked, rows, number_row, baked_row)
+        if wp.static(complete is not None):
+            looked = wp.int32(standing)
+            if wp.static(tables):
+                looked = wp.int32(width)  # what is computed for lanes without a vertex, too, reads entries that exist
+            for j in range(looked):
+                c = choices.get(rows, j)
+                m = materials.get(rows, j)
+                at = places.get(rows, j)
+                places.put(rows, j, complete(scene, at, m.number, m.side, surfaces.get(rows, j), c.face, c.u, c.v))
         models = wp.int32(0)
-        for j in range(looked):  # one by one: SIMD would be gathers, which take longer
-            c = choices.get(rows, j)
-            found_here = look_up(scene, surfaces.get(rows, j), c.behind == 1, c.face, c.u, c.v)
-            looked_up.put(rows, j, found_here)
-            if wp.static(several):
-                models = models | wp.where(c.on == 1, model_bit(found_here.model), 0)
         j = wp.int32(0)
         while j < width:
-            found = looked_up.get(rows, j)
-            surface = surfaces.get(rows, j)
-            places.put(rows, j, put_together(scene, triangles.get(rows, j), surface, found, states.get(rows, j).d))
+            side = materials.get(rows, j).side
+            tri = triangles.get(rows, j)
+            d = states.get(rows, j).d
+            at = put_together(scene, places.get(rows, j), side, tri, surfaces.get(rows, j), d)
+            places.put(rows, j, at)
+            if wp.static(several):
+                models = models | wp.where(choices.get(rows, j).on == 1, model_bit(at.model), 0)
             j += 1
         return models
 
-    return PlaceLanes(see, fetch, meet, collect, stand, choices, triangles, surfaces, looked_up, places, emissions)
+    return PlaceLanes(see, fetch, meet, collect, stand, choices, triangles, surfaces, places, emissions)

@@ -9,7 +9,7 @@ import warp as wp
 from tests.rays.helpers import KINDS, assert_same_hits, box36, cube, make_rays, soup
 from warp_psdr.kernels.bvh.each import make_each
 from warp_psdr.kernels.bvh.wide import WIDTHS, Accel, RayHit, make_intersect
-from warp_psdr.kernels.lanes.lanes import make_fetch, make_record, word_of
+from warp_psdr.kernels.lanes.lanes import make_fetch, make_record, stride_of, word_of, words
 from warp_psdr.kernels.structs import Triangle
 from warp_psdr.scene.acceleration import Accelerator, host_width
 
@@ -149,7 +149,7 @@ def test_rays_in_rows_follow_a_moved_mesh(width):
 
 @each_width
 def test_records_are_fetched_into_lanes(width):
-    fetch = make_fetch(Triangle, width)
+    fetch = make_fetch(Triangle, width, words(Triangle))
     get, _put = make_record(Triangle, width)
     _get, put_index = make_record(RayHit, width)
     size = 20 * width
@@ -174,6 +174,21 @@ def test_records_are_fetched_into_lanes(width):
     np.testing.assert_array_equal(out.numpy().view(np.int32).reshape(width, 16), raw[np.maximum(index["face"], 0)])
 
 
-def test_records_without_a_multiple_of_four_words_are_not_fetched():
-    with pytest.raises(ValueError, match="multiple of four"):
-        make_fetch(Row, 8)
+@each_width
+def test_records_of_any_number_of_words_are_fetched(width):
+    """No row behind the last one is written."""
+    count, stride = 6, stride_of(6)
+    fetch = make_fetch(wp.uint32, width, count)
+
+    @wp.kernel(module="unique", enable_backward=False)
+    def fetch_some(records: wp.array(dtype=wp.uint32), rows: wp.array(dtype=wp.uint32)):
+        fetch(records, rows, count + 1, 0)
+
+    rng = np.random.default_rng(4)
+    raw = rng.integers(0, 2**32, size=(50, stride)).astype(np.uint32)
+    rows = np.zeros((count + 2, width), np.uint32)
+    rows[-1] = numbers = rng.integers(0, 50, width)
+    out = wp.array(rows.reshape(-1), dtype=wp.uint32, device="cpu")
+    wp.launch(fetch_some, 1, [wp.array(raw.reshape(-1), dtype=wp.uint32, device="cpu")], [out], device="cpu")
+    rows[:count] = raw[numbers, :count].T
+    np.testing.assert_array_equal(out.numpy().reshape(rows.shape), rows)

@@ -296,6 +296,9 @@ class Builder:
         for i, (record, key) in enumerate(zip(self.bsdfs, self._bsdf_keys, strict=True)):
             record.model = self.models.index(key)
             record.slots = i * len(self.values)
+            record.varied = int(
+                any(self.textures[n].kind != c.TEXTURE_CONSTANT for n in self.bsdf_textures[i].values())
+            )
             model = declaration_of(key)[0]
             record.lobes = sum(1 << lobe for lobe in (*model.lobes, *([c.LOBE_BEHIND] if model.passes else [])))
 

@@ -29,6 +29,7 @@ from warp_psdr.scene.kinds.records import Followers, update_record
 from warp_psdr.scene.layout import BRIGHTNESS, NORMALS, POSITIONS, SHAPE_POSE, Parameter, struct_array
 from warp_psdr.scene.lights.selection import Lights
 from warp_psdr.scene.lights.sunsky import follow_sky
+from warp_psdr.scene.materials.baked import BakedMaterials
 from warp_psdr.scene.materials.tables import follow
 from warp_psdr.scene.media.super_grid import rebuild
 from warp_psdr.scene.origin import COLLAPSING
@@ -112,7 +113,8 @@ class Scene:
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
-        self._points = self._view_points()
+        points = Parameter("", builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
+        self._points = points.view(self.values)
         self._face_shape = wp.array(builder.face_shape, dtype=wp.int32, device=self.device)
         self._orientation = wp.array(
             np.array([s.orientation for s in builder.shapes] or [1.0], np.float32), dtype=wp.float32, device=self.device
@@ -129,6 +131,7 @@ class Scene:
         self._media.records = struct_array(Medium, builder.media, self.device)
         self._media.sides = wp.array(builder.sides or [(c.NO_INTERFACE,) * 2], dtype=wp.vec2i, device=self.device)
         self.accelerator = self._accelerator(self.indices, *rays, built=False)
+        self._baked = BakedMaterials(builder, self.values, used=self.accelerator.backend == "wide")
         self._rows = wp.empty((ROOM + QUEUE_ROOM) * self.accelerator.width, dtype=wp.uint32, device=self.device)
         self._sight: Accelerator | None = None
         self._contact_ratio = CONTACT_RATIO
@@ -203,10 +206,6 @@ class Scene:
         """Positions of all vertices, (V, 3) float32, as the kernels read them; on the CPU a view."""
         return self._points.numpy()
 
-    def _view_points(self) -> wp.array:
-        points = Parameter("", self.builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
-        return points.view(self.values)
-
     def view(self, name: str) -> wp.array:
         """Return the array of a parameter that users read and edit."""
         return self._world.view(self.parameters[name])
@@ -270,6 +269,7 @@ class Scene:
         s.bsdfs = self._bsdfs
         s.slots = self._slots
         s.textures = self._textures
+        s.baked = self._baked.current()
         s.emitters = self.lights.emitters
         s.emitter_cdf = self.lights.emitter_cdf
         s.face_cdf = self.lights.face_cdf
