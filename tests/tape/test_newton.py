@@ -88,7 +88,7 @@ def test_a_model_becomes_a_scene_that_follows_its_states(model):
     assert {"crate_side.to_world", "soft0.vertex_positions"} <= set(params.requested)
     assert not any(name.startswith("ground_plane") for name in params.requested)
     tape.backward(grads={image: weights()})
-    assert push.grad.numpy().all() and model.tri_materials.grad.numpy().any()
+    assert push.grad.numpy().all()
     tape.zero()
     assert image.shape == (SIZE, SIZE)
 
