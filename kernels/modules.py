@@ -33,8 +33,6 @@ SCENE = shared("warp_psdr.scene")
 DERIVED_VJP = shared("warp_psdr.derived_vjp")
 #: The same in forward mode.
 DERIVED_JVP = shared("warp_psdr.derived_jvp")
-#: Finds where triangles meet.
-PAIRS = shared("warp_psdr.pairs")
 #: Warp's headers alone.
 HEADERS = shared("warp_psdr.headers")
 #: Losses of images, and of grids.
@@ -45,6 +43,10 @@ FILES = {
     SCENE: ("films", "primitive.affine", "reduction", "shape.normals", "shape.transform", "surface"),
     DERIVED_VJP: ("shape.normals", "shape.transform"),
     DERIVED_JVP: ("shape.normals", "shape.transform"),
-    PAIRS: ("boundary.path_space.crossing", "boundary.touching"),
     HEADERS: ("headers",),
 }
+
+
+def pairs_module(width: int) -> str:
+    """Return the module of the kernels that find where triangles meet; see ``boundary/pairs.py``."""
+    return shared(f"warp_psdr.pairs{width}")

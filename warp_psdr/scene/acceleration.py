@@ -82,6 +82,7 @@ class Accelerator:
         data: What kernels take. ``update`` changes its fields; the object stays the same.
         backend: ``"warp"`` or ``"wide"``.
         width: SIMD lanes of the wide BVH; 1 for ``"warp"``.
+        packets: Number of packets of triangles of the wide BVH; 0 for ``"warp"``.
         nbytes: Memory of the wide BVH, bytes; 0 for ``"warp"``, whose memory Warp does not tell.
         cost: Expected node and packet tests of a ray that meets the mesh's box; 0 for ``"warp"``.
     """
@@ -122,6 +123,7 @@ class Accelerator:
         self.backend = name
         self.width = (width or vector_width()) if name == "wide" else 1
         self.data = Accel()
+        self.packets = 0
         self.nbytes = 0
         self.cost = 0.0
         self._mesh: wp.Mesh | None = None
@@ -150,20 +152,20 @@ class Accelerator:
         while True:  # a second round where packets stay half empty
             binary = _Buffer(capacity * binary_words(w))
             launch(build, 1, [*mesh, capacity], [primitives.address, binary.address, counts.address], device="cpu")
-            binary_count, self._packet_count = counts.numpy(np.int32).tolist()
+            binary_count, self.packets = counts.numpy(np.int32).tolist()
             if binary_count <= capacity:
                 break
             capacity = binary_count
-        children, leaves = _Buffer(self._packet_count * w), _Buffer(self._packet_count * 2)
+        children, leaves = _Buffer(self.packets * w), _Buffer(self.packets * 2)
         launch(emit, 1, [binary.address], [children.address, leaves.address, counts.address], device="cpu")
         self._node_count = int(counts.numpy(np.int32)[0])
         self._nodes = _Buffer(self._node_count * NODE_ROWS * w)
-        self._packets = _Buffer(self._packet_count * PACKET_ROWS * w)
-        self.nbytes = self._nodes.nbytes + self._packets.nbytes
+        self._triangles = _Buffer(self.packets * PACKET_ROWS * w)
+        self.nbytes = self._nodes.nbytes + self._triangles.nbytes
         self.data.nodes = self._nodes.address
-        self.data.packets = self._packets.address
-        self.data.flat = self._packet_count if self._packet_count <= FLAT_PACKETS else 0
-        self.data.below_root = self._packet_count if self._node_count == 1 else 0
+        self.data.packets = self._triangles.address
+        self.data.flat = self.packets if self.packets <= FLAT_PACKETS else 0
+        self.data.below_root = self.packets if self._node_count == 1 else 0
         self._refit(primitives.address, leaves.address, children.address)
         self._built_cost = self.cost
 
@@ -182,8 +184,8 @@ class Accelerator:
         """Fill packets and nodes from the vertex positions; after a build with the topology at these addresses."""
         *_build, fill, bound = self.kernels()
         mesh = [self._points.ptr, self._indices.ptr]
-        packets, nodes, summary = self._packets.address, self._nodes.address, _Buffer(7)
-        launch(fill, 1, [*mesh, primitives, leaves, 0, self._packet_count], [packets], device="cpu")
+        packets, nodes, summary = self._triangles.address, self._nodes.address, _Buffer(7)
+        launch(fill, 1, [*mesh, primitives, leaves, 0, self.packets], [packets], device="cpu")
         center = np.array(self.data.center, dtype=np.float64)
         for _ in range(2):  # a second round where the mesh has moved away from the center
             inputs = [packets, children, self._node_count, wp.vec3(*center.tolist())]

@@ -72,6 +72,7 @@ class Scene:
             of their radii (``warp_psdr.topology.patches``, ``kernels/interior/factors/contact.py``). A narrower one has
             less bias and more noise, of its inverse square root.
         parameters: Named stretches of ``values``.
+        vertices: (V,) vec3, the positions of all vertices: a view of ``values``.
         indices: Flat int32 vertex numbers, three a triangle, over all shapes.
     """
 
@@ -113,8 +114,8 @@ class Scene:
         self.indices = wp.array(builder.indices.reshape(-1), dtype=wp.int32, device=self.device)
         self.face_count = len(builder.indices)
         self.vertex_count = builder.vertex_count
-        points = Parameter("", builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
-        self._points = points.view(self.values)
+        vertices = Parameter("", builder.positions, (self.vertex_count,), wp.vec3, (-np.inf, np.inf))
+        self.vertices = vertices.view(self.values)
         self._face_shape = wp.array(builder.face_shape, dtype=wp.int32, device=self.device)
         self._orientation = wp.array(
             np.array([s.orientation for s in builder.shapes] or [1.0], np.float32), dtype=wp.float32, device=self.device
@@ -193,7 +194,7 @@ class Scene:
     def _accelerator(
         self, indices: wp.array, backend: str | None, width: int | None, *, built: bool = True
     ) -> Accelerator:
-        return Accelerator(self._points, indices, self.device, backend, width=width, built=built)
+        return Accelerator(self.vertices, indices, self.device, backend, width=width, built=built)
 
     # -- views and constants ---------------------------------------------------------------------------------------
 
@@ -204,7 +205,7 @@ class Scene:
     @property
     def points(self) -> np.ndarray:
         """Positions of all vertices, (V, 3) float32, as the kernels read them; on the CPU a view."""
-        return self._points.numpy()
+        return self.vertices.numpy()
 
     def view(self, name: str) -> wp.array:
         """Return the array of a parameter that users read and edit."""

@@ -17,7 +17,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.device import launch
-from warp_psdr.kernels.boundary.touching import touching_pairs
+from warp_psdr.kernels.boundary.pairs import make_pair_kernels
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.faces import face_edges
 from warp_psdr.topology.kinds.joined_rims import joined_rims
@@ -161,12 +161,13 @@ def _touching(scene: Scene, corners: np.ndarray, shape: np.ndarray, tolerance: f
         scene.steps.scene or ROUNDING_EPSILONS * scene.ray_epsilon,
         STEEPEST,
     ]
+    _crossing, touching = make_pair_kernels(scene.accelerator.width)
     room = 1024
     while True:
         count = wp.zeros(1, dtype=wp.int32, device=device)
         pairs = wp.zeros(room, dtype=wp.vec3i, device=device)
         spans = wp.zeros(room, dtype=wp.vec2, device=device)
-        launch(touching_pairs, dim=3 * len(corners), inputs=inputs, outputs=[count, pairs, spans], device=device)
+        launch(touching, dim=3 * len(corners), inputs=inputs, outputs=[count, pairs, spans], device=device)
         n = int(count.numpy()[0])
         if n <= room:
             break

@@ -21,7 +21,7 @@ import warp as wp
 
 from warp_psdr import columns, workers
 from warp_psdr.device import launch_shards
-from warp_psdr.kernels.boundary.path_space.crossing import crossing_pairs
+from warp_psdr.kernels.boundary.pairs import make_pair_kernels
 from warp_psdr.kernels.step import TOUCH
 from warp_psdr.topology.contacts import contacts
 from warp_psdr.topology.edges import WELD, Adjacency, scene_adjacency
@@ -34,9 +34,6 @@ IN_PLANE = 2.0 * WELD
 #: Room for candidates at first, a shard of few triangles; one of many has room for as many as it has triangles. Beyond
 #: it all of them are looked for again.
 ROOM = 8192
-#: Triangles in a leaf of the hierarchy: on a CPU it is built in 0.6 of the time that it takes with one in each, and
-#: looking for candidates takes no longer.
-LEAF = 8
 
 
 def scene_curves(scene: Scene) -> Adjacency:
@@ -49,7 +46,7 @@ def scene_curves(scene: Scene) -> Adjacency:
     if kept is not None and kept[0] is edges:
         return kept[1]
     points = scene.points
-    pairs = _candidates(scene, points, scene.builder.indices, edges.group)
+    pairs = _candidates(scene, edges)
     far = scene.steps.far[scene.builder.face_shape[pairs]]
     tolerance = np.maximum(IN_PLANE * far.min(axis=1, initial=np.inf), TOUCH * far.max(axis=1, initial=0.0))
     found = _segments(points.astype(np.float64), scene.builder.indices, edges, pairs, tolerance)
@@ -64,65 +61,48 @@ def moving_curves(scene: Scene, curves: Adjacency, shapes: set[int]) -> np.ndarr
     return moves[curves.faces.reshape(-1, 2)].any(axis=1)
 
 
-class _Boxes:
-    """A hierarchy over the boxes of triangles, refitted when they move."""
-
-    def __init__(self, corners: np.ndarray, device: str):
-        self._low, self._high = (wp.array(x, dtype=wp.vec3, device=device) for x in _bounds(corners))
-        self.bvh = wp.Bvh(self._low, self._high, leaf_size=LEAF)
-
-    def refit(self, corners: np.ndarray) -> None:
-        for array, bound in zip((self._low, self._high), _bounds(corners), strict=True):
-            array.assign(bound)
-        self.bvh.refit()
-
-
-def _bounds(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-
-
-def _boxes(scene: Scene, corners: np.ndarray) -> _Boxes:
-    """Return the hierarchy over the triangles of a scene, whose number never changes."""
-    kept = getattr(scene, "_curve_boxes", None)
-    if kept is None:
-        kept = scene._curve_boxes = _Boxes(corners, str(scene.device))  # type: ignore[attr-defined]
-    else:
-        kept.refit(corners)
-    return kept
-
-
-def _candidates(scene: Scene, points: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
+def _candidates(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return pairs of triangles (P, 2) that may intersect, in ascending order."""
-    if not len(triangles):
+    count = scene.face_count
+    if not count:
         return np.zeros((0, 2), np.int64)
-    device = str(scene.device)
-    bvh = _boxes(scene, points[triangles]).bvh
+    accelerator, device = scene.accelerator, scene.device
+    kernel, _touching = make_pair_kernels(accelerator.width)
     inputs = [
-        bvh.id,
-        wp.array(points, dtype=wp.vec3, device=device),
-        wp.array(triangles.astype(np.int32), dtype=wp.vec3i, device=device),
-        wp.array(group[triangles].astype(np.int32), dtype=wp.vec3i, device=device),
+        accelerator.data,
+        scene.vertices,
+        scene.indices.reshape((count, 3)).view(wp.vec3i),
+        _corner_groups(scene, edges),
         IN_PLANE * float(scene.steps.far[np.unique(scene.builder.face_shape)].min()),
     ]
-    shards = workers.SHARDS if wp.get_device(device).is_cpu else 1
-    room = max(ROOM, len(triangles) // shards)
+    shards = workers.SHARDS if device.is_cpu else 1
+    room = max(ROOM, count // shards)
     while True:
-        count = wp.zeros(shards, dtype=wp.int32, device=device)
-        pairs = wp.zeros((shards, room), dtype=wp.vec2i, device=device)
+        found = wp.zeros(shards, dtype=wp.int32, device=device)
+        pairs = wp.empty((shards, room), dtype=wp.vec2i, device=device)
         launch_shards(
-            crossing_pairs,
-            len(triangles),
-            partial(_arguments, inputs, [count, pairs]),
+            kernel,
+            accelerator.packets or count,
+            partial(_arguments, inputs, [found, pairs]),
             shards=shards,
-            device=wp.get_device(device),
+            device=device,
         )
-        n = count.numpy()
+        n = found.numpy()
         if n.max() <= room:
             break
         room = int(n.max())
-    found = np.concatenate([row[:k] for row, k in zip(pairs.numpy(), n, strict=True)]).astype(np.int64)
-    return found[np.lexsort((found[:, 1], found[:, 0]))]
+    rows = np.concatenate([row[:k] for row, k in zip(pairs.numpy(), n, strict=True)]).astype(np.int64)
+    return rows[np.lexsort((rows[:, 1], rows[:, 0]))]
+
+
+def _corner_groups(scene: Scene, edges: Adjacency) -> wp.array:
+    """Return the numbers of the positions of all triangles' corners, kept as long as the same vertices coincide."""
+    kept = getattr(scene, "_corner_groups", None)
+    if kept is None or kept[0] is not edges.group:
+        numbers = edges.group.astype(np.int32).take(scene.builder.indices, axis=0)
+        kept = (edges.group, wp.array(numbers, dtype=wp.vec3i, device=scene.device))
+        scene._corner_groups = kept  # type: ignore[attr-defined]
+    return kept[1]
 
 
 def _arguments(inputs: list, outputs: list, first: int, _count: int, shard: int) -> tuple[list, list]:

@@ -6,9 +6,13 @@ plane and an edge in it. Pairs that share an edge are left out. The host decides
 (``warp_psdr/topology/intersection_curves.py``); it would leave out every pair that is left out here.
 """
 
+import functools
+
 import warp as wp
 
-from warp_psdr.kernels.modules import PAIRS
+from warp_psdr.kernels.bvh.near import make_near_pairs
+from warp_psdr.kernels.bvh.wide import Accel
+from warp_psdr.kernels.modules import pairs_module
 
 #: Share of the tolerance by which intervals have to overlap here; the host asks for all of it.
 OVERLAP = 0.5
@@ -93,58 +97,108 @@ def interval(points: wp.array(dtype=wp.vec3), q: wp.vec3i, h: wp.vec3d, origin: 
     return wp.vec2d(wp.min(s, t), wp.max(s, t))
 
 
-@wp.kernel(module=PAIRS, enable_backward=False)
-def crossing_pairs(
-    # In:
-    boxes: wp.uint64,
-    points: wp.array(dtype=wp.vec3),
-    triangles: wp.array(dtype=wp.vec3i),
-    groups: wp.array(dtype=wp.vec3i),
-    tolerance: wp.float64,
-    first: wp.int32,
-    lane: wp.int32,
-    # Out:
-    count_out: wp.array(dtype=wp.int32),
-    pairs_out: wp.array2d(dtype=wp.vec2i),
-):
-    """Write the pairs with face numbers i < j to the lane's row; those past its end are counted only.
+@wp.func
+def share_an_edge(g: wp.vec3i, h: wp.vec3i) -> bool:
+    """Whether two triangles have two positions in common; g, h: numbers of the corners' positions."""
+    shared = wp.int32(0)
+    for k in range(3):
+        if h[k] == g[0] or h[k] == g[1] or h[k] == g[2]:
+            shared += 1
+    return shared >= 2
 
-    ``groups``: numbers of the corners' positions, equal where corners are welded.
+
+@wp.func
+def may_cross(
+    points: wp.array(dtype=wp.vec3), p: wp.vec3i, plane_p: Plane, q: wp.vec3i, tolerance: wp.float64
+) -> bool:
+    """Whether two triangles that share no edge are a candidate."""
+    h_q = heights(points, plane_p, q, tolerance)
+    across_p = straddles(h_q)
+    if across_p == 0:
+        return False
+    plane_q = plane_of(points, q)
+    h_p = heights(points, plane_q, p, tolerance)
+    across_q = straddles(h_p)
+    if across_p < 2 or across_q < 2:
+        return across_q > 0
+    along = wp.normalize(wp.cross(plane_p.n, plane_q.n))
+    origin = wp.vec3d(points[p[0]])
+    a = interval(points, p, h_p, origin, along)
+    b = interval(points, q, h_q, origin, along)
+    # Not the other way round: NaN of nearly parallel planes is the host's.
+    return not (wp.min(a[1], b[1]) - wp.max(a[0], b[0]) <= wp.float64(OVERLAP) * tolerance)
+
+
+@functools.cache
+def make_crossing_pairs(width: int) -> wp.Kernel:
+    """Make the kernel that finds candidates: one thread a packet of the wide BVH, or, of width 1, a triangle.
+
+    It writes pairs with face numbers i < j to the lane's row, and counts them. A count beyond the row's end tells how
+    long a row suffices. ``groups``: numbers of the corners' positions, equal where corners are welded. Threads of a
+    lane that take packets run one after the other.
     """
-    i = first + wp.tid()
-    p = triangles[i]
-    g = groups[i]
-    low = wp.min(wp.min(points[p[0]], points[p[1]]), points[p[2]])
-    high = wp.max(wp.max(points[p[0]], points[p[1]]), points[p[2]])
-    plane_p = plane_of(points, p)
-    query = wp.bvh_query_aabb(boxes, low, high)
-    j = wp.int32(0)
-    while wp.bvh_query_next(query, j):
-        if j > i:
-            h = groups[j]
-            shared = wp.int32(0)
-            for k in range(3):
-                if h[k] == g[0] or h[k] == g[1] or h[k] == g[2]:
-                    shared += 1
-            if shared < 2:
-                q = triangles[j]
-                h_q = heights(points, plane_p, q, tolerance)
-                across_p = straddles(h_q)
-                if across_p > 0:
-                    plane_q = plane_of(points, q)
-                    h_p = heights(points, plane_q, p, tolerance)
-                    across_q = straddles(h_p)
-                    intersect_link = across_q > 0
-                    if across_p == 2 and across_q == 2:
-                        along = wp.normalize(wp.cross(plane_p.n, plane_q.n))
-                        origin = wp.vec3d(points[p[0]])
-                        a = interval(points, p, h_p, origin, along)
-                        b = interval(points, q, h_q, origin, along)
-                        # Not the other way round: NaN of nearly parallel planes is the host's.
-                        intersect_link = not (
-                            wp.min(a[1], b[1]) - wp.max(a[0], b[0]) <= wp.float64(OVERLAP) * tolerance
-                        )
-                    if intersect_link:
-                        at = wp.atomic_add(count_out, lane, 1)
-                        if at < pairs_out.shape[1]:
-                            pairs_out[lane, at] = wp.vec2i(i, j)
+    return _crossing_packets(width) if width > 1 else _crossing_triangles()
+
+
+def _crossing_packets(width: int) -> wp.Kernel:
+    near_pairs = make_near_pairs(width)
+
+    @wp.kernel(module=pairs_module(width), enable_backward=False)
+    def crossing_pairs(
+        # In:
+        accel: Accel,
+        points: wp.array(dtype=wp.vec3),
+        triangles: wp.array(dtype=wp.vec3i),
+        groups: wp.array(dtype=wp.vec3i),
+        tolerance: wp.float64,
+        first: wp.int32,
+        lane: wp.int32,
+        # Out:
+        count_out: wp.array(dtype=wp.int32),
+        pairs_out: wp.array2d(dtype=wp.vec2i),
+    ):
+        room = pairs_out.shape[1]
+        kept = count_out[lane]
+        end = kept + near_pairs(accel, first + wp.tid(), tolerance, pairs_out, lane, kept)
+        for at in range(kept, wp.min(end, room)):
+            pair = pairs_out[lane, at]
+            if not share_an_edge(groups[pair[0]], groups[pair[1]]):
+                p = triangles[pair[0]]
+                if may_cross(points, p, plane_of(points, p), triangles[pair[1]], tolerance):
+                    pairs_out[lane, kept] = pair
+                    kept += 1
+        count_out[lane] = wp.where(end > room, end, kept)
+
+    return crossing_pairs
+
+
+def _crossing_triangles() -> wp.Kernel:
+    @wp.kernel(module=pairs_module(1), enable_backward=False)
+    def crossing_pairs(
+        # In:
+        accel: Accel,
+        points: wp.array(dtype=wp.vec3),
+        triangles: wp.array(dtype=wp.vec3i),
+        groups: wp.array(dtype=wp.vec3i),
+        tolerance: wp.float64,
+        first: wp.int32,
+        lane: wp.int32,
+        # Out:
+        count_out: wp.array(dtype=wp.int32),
+        pairs_out: wp.array2d(dtype=wp.vec2i),
+    ):
+        i = first + wp.tid()
+        p = triangles[i]
+        low = wp.min(wp.min(points[p[0]], points[p[1]]), points[p[2]])
+        high = wp.max(wp.max(points[p[0]], points[p[1]]), points[p[2]])
+        plane_p = plane_of(points, p)
+        query = wp.mesh_query_aabb(accel.mesh_id, low, high)
+        j = wp.int32(0)
+        while wp.mesh_query_aabb_next(query, j):
+            if j > i and not share_an_edge(groups[i], groups[j]):
+                if may_cross(points, p, plane_p, triangles[j], tolerance):
+                    at = wp.atomic_add(count_out, lane, 1)
+                    if at < pairs_out.shape[1]:
+                        pairs_out[lane, at] = wp.vec2i(i, j)
+
+    return crossing_pairs
