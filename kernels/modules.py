@@ -33,6 +33,8 @@ SCENE = shared("warp_psdr.scene")
 DERIVED_VJP = shared("warp_psdr.derived_vjp")
 #: The same in forward mode.
 DERIVED_JVP = shared("warp_psdr.derived_jvp")
+#: Lists edges and triangles for the boundary terms, on the host's processor.
+LISTS = shared("warp_psdr.lists")
 #: Warp's headers alone.
 HEADERS = shared("warp_psdr.headers")
 #: Losses of images, and of grids.
@@ -43,6 +45,7 @@ FILES = {
     SCENE: ("films", "primitive.affine", "reduction", "shape.normals", "shape.transform", "surface"),
     DERIVED_VJP: ("shape.normals", "shape.transform"),
     DERIVED_JVP: ("shape.normals", "shape.transform"),
+    LISTS: ("boundary.edge_wedges", "boundary.film_clip", "boundary.shading_normals.bent_faces"),
     HEADERS: ("headers",),
 }
 

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from warp_psdr import compiler, workers
@@ -87,3 +89,28 @@ def launch_shards(
                     progress(done / items)
 
     workers.run_shards(shard, run)
+
+
+def launch_on_host(kernel: wp.Kernel, count: int, inputs: list, outputs: list[type]) -> list[np.ndarray]:
+    """Run a kernel over items on the host's processor, whatever device the scene is on; its lists are the same then.
+
+    Args:
+        kernel: one thread an item; behind the inputs it takes the first item's number.
+        count: number of items.
+        inputs: NumPy arrays are not copied; the last axis of those of vectors is as long as these.
+        outputs: type of each output, an array of ``count``.
+    """
+    host = wp.get_device("cpu")
+    taken = [_on_host(x, a.type) if isinstance(x, np.ndarray) else x for x, a in zip(inputs, kernel.adj.args, strict=False)]
+    made = [wp.empty(count, dtype=kind, device=host) for kind in outputs]
+    dealt = workers.even_chunks(count)
+    launch_shards(kernel, count, partial(_behind, taken, made), shards=len(dealt), device=host, chunks=dealt)
+    return [array.numpy() for array in made]
+
+
+def _on_host(values: np.ndarray, kind: Any) -> wp.array:
+    return wp.array(np.ascontiguousarray(values), dtype=kind.dtype, ndim=kind.ndim, device="cpu", copy=False)
+
+
+def _behind(inputs: list, outputs: list, first: int, _count: int, _shard: int) -> tuple[list, list]:
+    return [*inputs, first], outputs

@@ -128,6 +128,12 @@ def chunks(items: int, shards: int, least: int = MIN_CHUNK) -> list[Chunks]:
     return result
 
 
+def even_chunks(items: int) -> list[Chunks]:
+    """Return one launch for every worker, for what does not depend on the split."""
+    size = max(-(-items // workers()), MIN_CHUNK)
+    return [[(first, min(size, items - first))] for first in range(0, items, size)]
+
+
 def stretches(ends: np.ndarray) -> list[Chunks]:
     """Return the launches of shards that each take the items from the end of the one before to their own."""
     result = []

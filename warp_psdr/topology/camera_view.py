@@ -11,18 +11,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import warp as wp
 
+from warp_psdr.device import launch_on_host
+from warp_psdr.kernels.boundary.film_clip import View, Window, clip_edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, RFILTER_GAUSSIAN
 from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Camera
     from warp_psdr.scene.scene import Scene
-
-
-#: Edges that are clipped at a time: intermediate values of more leave the processor's cache and are fetched from, and
-#: given back to, the system with every operation, which takes some times longer than the arithmetic.
-CHUNK = 4096
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,55 +89,31 @@ class CameraView:
             (E,) the stretches' ends, low and high in [0, 1], and the root mean square over the lens of the length of
             their images in pixels: 0 where nothing is seen.
         """
-        parts = [self._clip(ends[i : i + CHUNK]) for i in range(0, max(len(ends), 1), CHUNK)]
-        low, high, length = (np.concatenate(part) for part in zip(*parts, strict=True))
-        return low, high, length
-
-    def _clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         camera = self.camera
-        p = (ends - self.pose[:3, 3]).reshape(-1, 3) @ np.linalg.inv(self.pose[:3, :3]).T
-        # First ends in the first row, second ends in the second.
-        a, b, z = (np.ascontiguousarray(p[:, k].reshape(-1, 2).T) for k in range(3))
-        w = self.finite * z + (1.0 - self.finite)
-        # Homogeneous film coordinates in pixels of the crop window.
-        x = (self.center[0] - camera.crop_x) * w - self.scale[0] * a
-        y = (self.center[1] - camera.crop_y) * w - self.scale[1] * b
-        gaussian = camera.filter == RFILTER_GAUSSIAN
-        reach = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
-        margin = camera.sample_border * max(reach - 0.5, 0.0) * w
-        across, down = (margin + self.radius * s * np.abs(z / self.focus - 1.0) for s in self.scale)
         size = np.linalg.norm(self.pose[:3, 2])
         far = camera.far if self.finite else camera.near * size + camera.far - camera.near
-        planes = (
-            z - camera.near / (size if self.finite else 1.0),
-            far / size - z,
-            x + across,
-            camera.crop_width * w + across - x,
-            y + down,
-            camera.crop_height * w + down - y,
-        )
-        low, high = np.zeros(len(ends)), np.ones(len(ends))
-        for f in planes:
-            outside = f < 0.0
-            if not outside.any():
-                continue
-            inside = f >= 0.0
-            with np.errstate(divide="ignore", invalid="ignore"):
-                at = -f[0] / (f[1] - f[0])
-            low = np.where(outside[0] & inside[1], np.maximum(low, at), low)
-            high = np.where(inside[0] & outside[1], np.minimum(high, at), high)
-            high = np.where(outside[0] & outside[1], -1.0, high)
+        gaussian = camera.filter == RFILTER_GAUSSIAN
+        reach = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
+        window = Window()
+        window.finite = self.finite
+        window.near = camera.near / (size if self.finite else 1.0)
+        window.far = far / size
+        window.center = wp.vec2d(*(self.center - [camera.crop_x, camera.crop_y]))
+        window.scale = wp.vec2d(*self.scale)
+        window.size = wp.vec2d(camera.crop_width, camera.crop_height)
+        window.border = camera.sample_border * max(reach - 0.5, 0.0)
+        window.radius, window.focus = self.radius, self.focus
+        window.position = wp.vec3d(*self.pose[:3, 3])
+        window.to_camera = wp.mat33d(np.linalg.inv(self.pose[:3, :3]))
+        low, high, length = launch_on_host(clip_edges, len(ends), [window, ends], [wp.float64] * 3)
+        return low, high, length
 
-        def image(s: np.ndarray) -> np.ndarray:
-            xyw = [(1.0 - s) * q[0] + s * q[1] for q in (x, y, w, np.ones_like(w))]
-            return np.stack([xyw[0], xyw[1], xyw[3]]) / np.where(np.abs(xyw[2]) > 1e-30, xyw[2], 1e-30)
-
-        # The last component is 1 / z: what a lens point shifts the image by, but for the common shift a l / f.
-        step = image(high) - image(low)
-        # E |l_x|^2 = E |l_y|^2 = 1/4 on the unit disk.
-        squared = step[0] ** 2 + step[1] ** 2 + 0.25 * (self.radius * step[2]) ** 2 * (self.scale**2).sum()
-        length = np.where(high > low, np.sqrt(squared), 0.0)
-        return low, high, np.where(np.isfinite(length), length, 0.0)
+    def record(self) -> View:
+        """Return what kernels take."""
+        view = View()
+        view.eye, view.finite, view.radius = wp.vec3d(*self.eye), self.finite, self.radius
+        view.across, view.down = (wp.vec3d(*self.pose[:3, i]) for i in range(2))
+        return view
 
 
 def camera_view(scene: Scene, sensor: int) -> CameraView:

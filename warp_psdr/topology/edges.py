@@ -9,6 +9,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import columns
+from warp_psdr.device import launch_on_host
+from warp_psdr.kernels.boundary.edge_wedges import edge_wedges
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
 from warp_psdr.progress import say
@@ -98,7 +100,7 @@ def adjacency(points: np.ndarray, triangles: np.ndarray, shape: np.ndarray | Non
     shape = np.zeros(len(points), int) if shape is None else shape
     far = np.full(len(points), _extent(points))
     normals = normal_columns(points, triangles)
-    return _measured(points, triangles, normals, _topology(points, triangles, normals, shape, far, _ranks(points)), far)
+    return _measured(points, triangles, _topology(points, triangles, normals, shape, far, _ranks(points)), far)
 
 
 def _extent(points: np.ndarray) -> float:
@@ -251,39 +253,13 @@ def _edges(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return order, np.append(np.flatnonzero(new), len(order))
 
 
-def _measured(
-    points: np.ndarray, triangles: np.ndarray, normals: np.ndarray, t: Topology, far: np.ndarray
-) -> Adjacency:
+def _measured(points: np.ndarray, triangles: np.ndarray, t: Topology, far: np.ndarray) -> Adjacency:
     """Return the edges with what depends on where the vertices are."""
-    p = columns.of(points)
     ends = points.take(t.ends, axis=0)
-    doubled = columns.length(normals)  # twice the triangles' areas
-
-    def center(rows: slice) -> tuple[np.ndarray]:
-        a, b, c = (columns.take(p, corner) for corner in triangles[rows].T)
-        return ((a + b + c) / 3.0,)
-
-    (middle,) = columns.in_chunks(center, len(triangles))
-
-    def measure(rows: slice) -> tuple[np.ndarray, np.ndarray]:
-        start, stop = t.first[:-1][rows], t.first[1:][rows]
-        two = stop - start == 2
-        faces = t.faces.take(start), t.faces.take(np.where(two, start + 1, start))
-        begin = columns.of(ends[rows, 0])
-        along = columns.of(ends[rows, 1]) - begin
-        size = columns.length(along)
-        along /= np.maximum(size, 1e-300)
-        # Directions from an edge into its faces, perpendicular to the edge.
-        into = [columns.take(middle, face) - begin for face in faces]
-        a, b = (x - columns.dot(x, along) * along for x in into)
-        angle = np.arctan2(columns.length(columns.cross(a, b)), columns.dot(a, b))
-        wedge = np.where(two, np.pi - angle, np.pi)
-        tall = np.minimum(*(doubled.take(face) for face in faces)) / np.maximum(size, 1e-300)
-        tilt = np.where(tall < NEEDLE * size, TILT * far[t.ends[rows, 0]] / np.maximum(tall, 1e-300), 0.0)
-        wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
-        return wedge, size
-
-    wedge, size = columns.in_chunks(measure, len(t.ends))
+    inputs = [points, triangles.astype(np.int32, copy=False), t.ends, t.faces, t.first, far, NEEDLE, TILT]
+    size, turn, tilt = launch_on_host(edge_wedges, len(t.ends), inputs, [wp.float64, wp.vec2d, wp.float64])
+    wedge = np.where(np.diff(t.first) == 2, np.pi - np.arctan2(turn[:, 0], turn[:, 1]), np.pi)
+    wedge[wedge < np.maximum(COPLANAR, tilt)] = 0.0
     return Adjacency(t.ends, t.twins, t.faces, t.first, wedge, size, ends, t.group)
 
 
@@ -348,7 +324,7 @@ def scene_adjacency(scene: Scene) -> Adjacency:
         and np.array_equal(_solid(normals, triangles, topology.group), topology.solid)
     ):
         topology = _topology(exact, triangles, normals, shape_of_vertex(scene), far, _scene_ranks(scene))
-    found = _measured(exact, triangles, normals, topology, far)
+    found = _measured(exact, triangles, topology, far)
     scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
     return found
 

@@ -9,6 +9,8 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import columns
+from warp_psdr.device import launch_on_host
+from warp_psdr.kernels.boundary.film_clip import faces_apart
 from warp_psdr.kernels.constants import (
     LOBE_DELTA_REFLECTION,
     LOBE_DELTA_TRANSMISSION,
@@ -333,28 +335,9 @@ def _alike(scene: Scene, edges: Adjacency, some: np.ndarray) -> np.ndarray:
 
 def _apart(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray, width: np.ndarray) -> np.ndarray:
     """Return which of some edges have a face on either side, as the camera sees them, at least ``width`` wide."""
-    p, triangles = columns.of(scene.points), scene.builder.indices
-
-    def apart(rows: slice) -> tuple[np.ndarray]:
-        own = some[rows]
-        start = edges.first[own]
-        second = np.where(edges.first[own + 1] - start == 2, start + 1, start)
-        ends = edges.points.take(own, axis=0)
-        begin = columns.of(ends[:, 0])
-        along = columns.of(ends[:, 1]) - begin
-        plane = columns.cross(along, -view.towards(begin.T).T)
-        sides, spreads = [], []
-        for face in (edges.faces.take(start), edges.faces.take(second)):
-            a, b, c = (columns.take(p, corner) - begin for corner in triangles.take(face, axis=0).T)
-            into = a + b + c
-            sides.append(columns.dot(into, plane))
-            # into . (along x eye) = eye . (into x along)
-            spreads.append(view.spread(columns.cross(into, along).T))
-        scale = columns.length(plane) * (edges.length.take(own) * COPLANAR + width[rows])
-        wide = [np.abs(s) > scale + r for s, r in zip(sides, spreads, strict=True)]
-        return ((sides[0] * sides[1] < 0.0) & wide[0] & wide[1],)
-
-    return columns.in_chunks(apart, len(some))[0]
+    inputs = [view.record(), scene.points, scene.builder.indices, some.astype(np.int32), width, edges.points]
+    inputs += [edges.length, edges.faces, edges.first, COPLANAR]
+    return launch_on_host(faces_apart, len(some), inputs, [wp.bool])[0]
 
 
 def _hidden(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray) -> np.ndarray:

@@ -8,9 +8,11 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import columns
+from warp_psdr.device import launch_on_host
+from warp_psdr.kernels.boundary.shading_normals.bent_faces import face_bends, terminator_weights
 from warp_psdr.scene.lights.light_sampling import cumulative
-from warp_psdr.scene.shapes.shading import normals_at_corners, vertex_normals
-from warp_psdr.topology.camera_view import CameraView, camera_view
+from warp_psdr.scene.shapes.shading import normals_at_vertices, vertex_normals
+from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import COPLANAR, normal_columns
 from warp_psdr.topology.film_edges import scatters
 from warp_psdr.topology.unchanged import kept
@@ -32,10 +34,8 @@ def bend(scene: Scene) -> np.ndarray:
     before = getattr(scene, "_bend", None)
     if before is not None and all(map(np.array_equal, before[0], now)):
         return before[1]
-    sines = np.zeros(scene.face_count)
-    for rows, normal, at in normals_at_corners(scene):
-        a, b, c = (columns.length(columns.cross(corner, normal)) for corner in at)
-        sines[rows] = np.maximum(np.maximum(a, b), c)
+    inputs = [scene.points, scene.builder.indices, normals_at_vertices(scene)]
+    (sines,) = launch_on_host(face_bends, scene.face_count, inputs, [wp.float64])
     scene._bend = ([array.copy() for array in now], sines)  # type: ignore[attr-defined]
     return sines
 
@@ -83,51 +83,16 @@ def terminator_faces(
 def _terminator_faces(
     scene: Scene, sensor: int, shapes: set[int], camera_moves: bool
 ) -> tuple[wp.array, wp.array] | None:
-    values = scene.values.numpy()
-    points = columns.of(scene.points)
-    view = camera_view(scene, sensor)
-    interpolated = interpolated_faces(scene)
-    more = np.asarray(scatters(scene).any(axis=1))
-    numbers, weights = [], []
-    for i, s in enumerate(scene.builder.shapes):
-        # What mirrors and glass reflect where n . v is small goes into their own triangle: black on both sides.
-        if s.smooth == 0 or not more[i] or not (camera_moves or i in shapes):
-            continue
-        own = points[:, s.first_vertex : s.first_vertex + s.vertex_count]
-        first = s.normal_offset + 3 * s.first_vertex
-        normals = columns.of(values[first : first + 3 * s.vertex_count].reshape(-1, 3))
-        faces = scene.builder.indices[s.first_face : s.first_face + s.face_count] - s.first_vertex
-        numbers.append(s.first_face + np.arange(s.face_count))
-        weights.append(_terminator_weights(view, own, normals, faces))
-    faces = np.concatenate([np.zeros(0, np.int32), *numbers]).astype(np.int32)
-    weight = np.concatenate([np.zeros(0), *weights])[interpolated[faces]]
-    faces = faces[interpolated[faces]]
+    b = scene.builder
+    moves = np.full(len(b.shapes), camera_moves)
+    moves[sorted(shapes)] = True
+    # What mirrors and glass reflect where n . v is small goes into their own triangle: black on both sides.
+    used = moves & scatters(scene).any(axis=1) & np.array([s.smooth != 0 for s in b.shapes], bool)
+    faces = np.flatnonzero(interpolated_faces(scene) & used[b.face_shape]).astype(np.int32)
     if not len(faces):
         return None
+    view = camera_view(scene, sensor).record()
+    inputs = [view, scene.points, b.indices.take(faces, axis=0), normals_at_vertices(scene), TERMINATOR_FLOOR]
+    (weight,) = launch_on_host(terminator_weights, len(faces), inputs, [wp.float64])
     cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
     return cdf, wp.array(faces, dtype=wp.int32, device=scene.device)
-
-
-def _terminator_weights(view: CameraView, points: np.ndarray, normals: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Return the sizes of triangles as the camera sees them, less where no terminator can cross them.
-
-    Args:
-        view: the camera's.
-        points: (3, V) vertices.
-        normals: (3, V) interpolated normals at them.
-        faces: (F, 3) numbers of the triangles' vertices.
-    """
-    facing = columns.dot(normals, view.towards(points.T).T)
-    spread = view.spread(normals.T)
-    least, most = facing - spread, facing + spread
-
-    def weigh(rows: slice) -> tuple[np.ndarray]:
-        corners = faces[rows].T
-        low = np.minimum.reduce([least.take(corner) for corner in corners])
-        high = np.maximum.reduce([most.take(corner) for corner in corners])
-        a, b, c = (columns.take(points, corner) for corner in corners)
-        size = np.maximum.reduce([columns.length(a - b), columns.length(b - c), columns.length(c - a)])
-        size /= columns.length(view.towards(((a + b + c) / 3.0).T).T)
-        return (np.where((low <= 0.0) & (high >= 0.0), size, TERMINATOR_FLOOR * size),)
-
-    return columns.in_chunks(weigh, len(faces))[0]

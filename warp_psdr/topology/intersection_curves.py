@@ -75,17 +75,19 @@ def _candidates(scene: Scene, edges: Adjacency) -> np.ndarray:
         _corner_groups(scene, edges),
         IN_PLANE * float(scene.steps.far[np.unique(scene.builder.face_shape)].min()),
     ]
-    shards = workers.SHARDS if device.is_cpu else 1
-    room = max(ROOM, count // shards)
+    items = accelerator.packets or count
+    dealt = workers.even_chunks(items) if device.is_cpu else [[]]
+    room = max(ROOM, count // len(dealt))
     while True:
-        found = wp.zeros(shards, dtype=wp.int32, device=device)
-        pairs = wp.empty((shards, room), dtype=wp.vec2i, device=device)
+        found = wp.zeros(len(dealt), dtype=wp.int32, device=device)
+        pairs = wp.empty((len(dealt), room), dtype=wp.vec2i, device=device)
         launch_shards(
             kernel,
-            accelerator.packets or count,
+            items,
             partial(_arguments, inputs, [found, pairs]),
-            shards=shards,
+            shards=len(dealt),
             device=device,
+            chunks=dealt,
         )
         n = found.numpy()
         if n.max() <= room:
