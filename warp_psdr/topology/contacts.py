@@ -63,7 +63,7 @@ def contacts(scene: Scene) -> Contacts:
     points = scene.points
     triangles = scene.builder.indices
     tolerance = _gap(scene)
-    numbers = _near_others(points[triangles], scene.builder.face_shape, tolerance)
+    numbers = _near_others(scene, tolerance)
     pairs, spans = _touching(scene, points[triangles[numbers]], scene.builder.face_shape[numbers], tolerance)
     face, corner, other = numbers[pairs[:, 0]], pairs[:, 1], numbers[pairs[:, 2]]
     shapes = np.stack([scene.builder.face_shape[face], scene.builder.face_shape[other]], axis=1)
@@ -124,23 +124,24 @@ def _names(scene: Scene, pairs: np.ndarray) -> str:
     return ", ".join(names) + (f" and {len(pairs) - LISTED} more pairs of shapes" if len(pairs) > LISTED else "")
 
 
-def _near_others(corners: np.ndarray, shape: np.ndarray, tolerance: float) -> np.ndarray:
+def _near_others(scene: Scene, tolerance: float) -> np.ndarray:
     """Return the numbers of the triangles whose box meets the box of another shape."""
-    if not len(shape):
+    if not scene.face_count:
         return np.zeros(0, np.int64)
-    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
-    low, high = np.minimum(np.minimum(a, b), c) - tolerance, np.maximum(np.maximum(a, b), c) + tolerance
-    order = np.argsort(shape, kind="stable")
-    start = np.flatnonzero(np.diff(shape[order], prepend=-1))
-    numbers = shape[order][start]
-    boxes = np.minimum.reduceat(low[order], start), np.maximum.reduceat(high[order], start)
-    meets = (boxes[0][:, None] <= boxes[1][None]).all(axis=2)
-    meets &= meets.T & ~np.eye(len(numbers), dtype=bool)
-    use = np.zeros(len(shape), bool)
-    groups = np.split(order, start[1:])
-    for a, b in np.argwhere(meets):
-        own = groups[a]
-        use[own] |= ((low[own] <= boxes[1][b]) & (high[own] >= boxes[0][b])).all(axis=1)
+    box, size = scene.boxes, 2.0 * tolerance
+    meets = ((box.low[:, None] <= box.high[None] + size) & (box.high[:, None] + size >= box.low[None])).all(axis=2)
+    use = np.zeros(scene.face_count, bool)
+    x = np.ascontiguousarray(scene.points.T)
+    for a, b in np.argwhere(meets & ~np.eye(len(meets), dtype=bool)):
+        record = scene.builder.shapes[a]
+        own = np.arange(record.first_face, record.first_face + record.face_count)
+        # First along the axis that tells most triangles apart.
+        shared = np.minimum(box.high[a], box.high[b]) - np.maximum(box.low[a], box.low[b])
+        for axis in np.argsort(shared / np.maximum(box.high[a] - box.low[a], 1e-300)):
+            corners = [x[axis].take(corner) for corner in scene.builder.indices.take(own, axis=0).T]
+            near = np.minimum.reduce(corners) <= box.high[b, axis] + size
+            own = own[near & (np.maximum.reduce(corners) >= box.low[b, axis] - size)]
+        use[own] = True
     return np.flatnonzero(use)
 
 

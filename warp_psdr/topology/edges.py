@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 import warp as wp
@@ -21,6 +22,8 @@ from warp_psdr.topology.welding import components, stable_order, still_welded, w
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
+
+T = TypeVar("T")
 
 #: Vertices closer than this fraction of the scene's extent are one: absorbs float32 rounding of posed vertices. Less
 #: than the distance at which the estimators look past an edge, or they would miss it.
@@ -276,6 +279,8 @@ def join(a: Adjacency, b: Adjacency) -> Adjacency:
 
 def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
     """Return some of the edges, by number."""
+    if np.array_equal(keep, np.arange(len(edges.length))):
+        return edges
     count = edges.count[keep]
     first = np.append(0, np.cumsum(count)).astype(np.int32)
     faces = edges.faces[np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])]
@@ -325,8 +330,39 @@ def scene_adjacency(scene: Scene) -> Adjacency:
     ):
         topology = _topology(exact, triangles, normals, shape_of_vertex(scene), far, _scene_ranks(scene))
     found = _measured(exact, triangles, topology, far)
-    scene._edges = (points.copy(), found, topology)  # type: ignore[attr-defined]
+    scene._edges = (points.copy(), found, topology, normals)  # type: ignore[attr-defined]
     return found
+
+
+def scene_normals(scene: Scene) -> np.ndarray:
+    """Return ``normal_columns`` of a scene's triangles; kept until a vertex moves."""
+    scene_adjacency(scene)
+    return scene._edges[3]  # type: ignore[attr-defined]
+
+
+def while_welded(scene: Scene, edges: Adjacency, key: Hashable, find: Callable[[], T]) -> T:
+    """Return what ``find()`` returns, kept as long as the same vertices coincide.
+
+    Args:
+        scene: the scene.
+        edges: of the scene, all of them; for others it is found anew.
+        key: names what is found, and all that it depends on beside the topology.
+        find: what finds it.
+    """
+    kept = getattr(scene, "_edges", None)
+    if kept is None or edges.faces is not kept[2].faces:
+        return find()
+    found = getattr(scene, "_welded", None)
+    if found is None or found[0] is not kept[2]:
+        found = scene._welded = (kept[2], {})  # type: ignore[attr-defined]
+    if key not in found[1]:
+        found[1][key] = find()
+    return found[1][key]
+
+
+def edge_of_side(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return the number of the edge of every entry of ``edges.faces``."""
+    return while_welded(scene, edges, "edge of side", lambda: np.repeat(np.arange(len(edges.length)), edges.count))
 
 
 def sides_of(scene: Scene, edges: Adjacency) -> np.ndarray:
@@ -339,7 +375,7 @@ def sides_of(scene: Scene, edges: Adjacency) -> np.ndarray:
     if kept is not None and kept[0] is edges:
         return kept[1]
     p, triangles = columns.of(scene.points), scene.builder.indices
-    edge = np.repeat(np.arange(len(edges.length)), edges.count)
+    edge = edge_of_side(scene, edges)
 
     def farthest(rows: slice) -> tuple[np.ndarray]:
         begin, end = (columns.take(p, edges.ends[:, i].take(edge[rows])) for i in (0, 1))
@@ -372,15 +408,14 @@ def mesh_parts(scene: Scene) -> np.ndarray:
     Kept as long as the same vertices coincide.
     """
     edges = scene_adjacency(scene)
-    kept = getattr(scene, "_mesh_parts", None)
-    if kept is None or kept[0] is not scene._edges[2]:  # type: ignore[attr-defined]
+
+    def find() -> np.ndarray:
         shape = scene.builder.face_shape[edges.faces]
-        edge = np.repeat(np.arange(len(edges.length)), edges.count)
+        edge = edge_of_side(scene, edges)
         joined = np.flatnonzero((edge[1:] == edge[:-1]) & (shape[1:] == shape[:-1]))
-        parts = components(scene.face_count, edges.faces[joined], edges.faces[joined + 1])
-        kept = (scene._edges[2], parts.astype(np.int32))  # type: ignore[attr-defined]
-        scene._mesh_parts = kept  # type: ignore[attr-defined]
-    return kept[1]
+        return components(scene.face_count, edges.faces[joined], edges.faces[joined + 1]).astype(np.int32)
+
+    return while_welded(scene, edges, "mesh parts", find)
 
 
 def shape_of_vertex(scene: Scene) -> np.ndarray:
@@ -390,9 +425,13 @@ def shape_of_vertex(scene: Scene) -> np.ndarray:
 
 def moving_edges(scene: Scene, edges: Adjacency, shapes: set[int]) -> np.ndarray:
     """Return a mask of the edges of which an end belongs to one of the shapes."""
-    moves = np.isin(shape_of_vertex(scene), sorted(shapes))
-    (a, b), (c, d) = edges.ends.T, edges.twins.T
-    return moves[a] | moves[b] | moves[c] | moves[d]
+
+    def find() -> np.ndarray:
+        moves = np.isin(shape_of_vertex(scene), sorted(shapes))
+        (a, b), (c, d) = edges.ends.T, edges.twins.T
+        return moves[a] | moves[b] | moves[c] | moves[d]
+
+    return while_welded(scene, edges, ("moving", frozenset(shapes)), find)
 
 
 def curve_edges(scene: Scene, curves: Adjacency) -> Edges | None:

@@ -28,9 +28,11 @@ from warp_psdr.topology.edges import (
     join,
     moving_edges,
     scene_adjacency,
+    scene_normals,
     select,
     sides_of,
     upload,
+    while_welded,
     without,
 )
 
@@ -138,7 +140,7 @@ def film_edges(
         edges = without(edges, absent_faces(scene))
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
-    usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene)[_shape(scene, edges)].any(axis=1)
+    usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene).any(axis=1)[_shape(scene, edges)]
     creases = _seen(view, edges, usable)
     lit = _facets(scene, view, edges, jumps) & (of_radiance and not scene.builder.media)
     others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
@@ -207,14 +209,25 @@ def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:
 
 
 def _shape(scene: Scene, edges: Adjacency) -> np.ndarray:
-    return scene.builder.face_shape[edges.faces[edges.first[:-1]]]
+    """Return the shape of every edge's first triangle."""
+    shape = scene.builder.face_shape
+    return while_welded(scene, edges, "shapes", lambda: shape.take(edges.faces.take(edges.first[:-1])))
+
+
+def _inner(scene: Scene, edges: Adjacency) -> np.ndarray:
+    """Return a mask of the edges of two triangles that share both vertices."""
+
+    def find() -> np.ndarray:
+        (a, b), (c, d) = edges.ends.T, edges.twins.T
+        return (edges.count == 2) & (a == c) & (b == d)
+
+    return while_welded(scene, edges, "inner", find)
 
 
 def _within(scene: Scene, edges: Adjacency) -> np.ndarray:
     """Return a mask of the edges between two triangles of one shape across which no texture, nor dp/du, jumps."""
     stepped = np.array([_stepped(scene, s) for s in scene.builder.shapes])
-    (a, b), (c, d) = edges.ends.T, edges.twins.T
-    within = (edges.count == 2) & (a == c) & (b == d) & ~stepped[_shape(scene, edges)]
+    within = _inner(scene, edges) & ~stepped[_shape(scene, edges)]
     if not scene.builder.anisotropic:
         return within
     brushed = np.array([_brushed(scene, s) for s in scene.builder.shapes])
@@ -350,12 +363,9 @@ def _hidden(scene: Scene, view: CameraView, edges: Adjacency, some: np.ndarray) 
         # Positive if the triangles' normals point out of the shape.
         outside[i] = closed[i] * np.sign(_volume(points, triangles[scene.builder.face_shape == i]))
     face = edges.faces[edges.first[some]]
-
-    def facing(rows: slice) -> tuple[np.ndarray]:
-        a, b, c = (columns.take(points, corner) for corner in triangles.take(face[rows], axis=0).T)
-        return (columns.dot(columns.cross(b - a, c - a), view.towards(a.T).T),)
-
-    return outside[shape[some]] * columns.in_chunks(facing, len(face))[0] < 0.0
+    corner = scene.points.take(triangles[:, 0].take(face), axis=0)
+    facing = columns.dot(columns.take(scene_normals(scene), face), columns.of(view.towards(corner.astype(np.float64))))
+    return outside[shape[some]] * facing < 0.0
 
 
 def _volume(points: np.ndarray, triangles: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from warp_psdr.kernels.boundary.shading_normals.bent_faces import face_bends, te
 from warp_psdr.scene.lights.light_sampling import cumulative
 from warp_psdr.scene.shapes.shading import normals_at_vertices, vertex_normals
 from warp_psdr.topology.camera_view import camera_view
-from warp_psdr.topology.edges import COPLANAR, normal_columns
+from warp_psdr.topology.edges import COPLANAR, scene_normals
 from warp_psdr.topology.film_edges import scatters
 from warp_psdr.topology.unchanged import kept
 
@@ -58,7 +58,7 @@ def _interpolated_choice(scene: Scene) -> tuple[wp.array, wp.array, float] | Non
     faces = np.flatnonzero(sines > COPLANAR)
     if not len(faces):
         return None
-    area = columns.length(normal_columns(scene.points, scene.builder.indices.take(faces, axis=0)))
+    area = columns.length(scene_normals(scene)).take(faces)
     weight = area * sines[faces]
     cdf = wp.array(cumulative(weight), dtype=wp.float32, device=scene.device)
     mean = float(weight.sum() / area.sum())

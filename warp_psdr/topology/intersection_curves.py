@@ -24,7 +24,7 @@ from warp_psdr.device import launch_shards
 from warp_psdr.kernels.boundary.pairs import make_pair_kernels
 from warp_psdr.kernels.step import TOUCH
 from warp_psdr.topology.contacts import contacts
-from warp_psdr.topology.edges import WELD, Adjacency, scene_adjacency
+from warp_psdr.topology.edges import WELD, Adjacency, scene_adjacency, while_welded
 
 if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
@@ -98,13 +98,13 @@ def _candidates(scene: Scene, edges: Adjacency) -> np.ndarray:
 
 
 def _corner_groups(scene: Scene, edges: Adjacency) -> wp.array:
-    """Return the numbers of the positions of all triangles' corners, kept as long as the same vertices coincide."""
-    kept = getattr(scene, "_corner_groups", None)
-    if kept is None or kept[0] is not edges.group:
+    """Return the numbers of the positions of all triangles' corners."""
+
+    def find() -> wp.array:
         numbers = edges.group.astype(np.int32).take(scene.builder.indices, axis=0)
-        kept = (edges.group, wp.array(numbers, dtype=wp.vec3i, device=scene.device))
-        scene._corner_groups = kept  # type: ignore[attr-defined]
-    return kept[1]
+        return wp.array(numbers, dtype=wp.vec3i, device=scene.device)
+
+    return while_welded(scene, edges, "corner groups", find)
 
 
 def _arguments(inputs: list, outputs: list, first: int, _count: int, shard: int) -> tuple[list, list]:

@@ -8,7 +8,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr import columns
-from warp_psdr.topology.edges import joined_faces, normal_columns, scene_adjacency
+from warp_psdr.topology.edges import edge_of_side, joined_faces, scene_adjacency, scene_normals
 from warp_psdr.topology.kinds.exact_shapes import exact_shapes, pose
 from warp_psdr.topology.unchanged import kept as kept_for
 
@@ -36,7 +36,7 @@ def patch_radii(scene: Scene) -> wp.array:
     edges = scene_adjacency(scene)
     kept = getattr(scene, "_patch_radii", None)
     if kept is None or kept[0] is not edges:
-        found = radii(scene.points, scene.builder.indices, edges)
+        found = radii(scene)
         if not len(found):
             found = np.zeros(1)
         kept = (edges, wp.array(found, dtype=wp.float32, device=scene.device))
@@ -46,7 +46,7 @@ def patch_radii(scene: Scene) -> wp.array:
 
 def _with_exact_shapes(scene: Scene) -> wp.array:
     """Return the radii of triangles, and of shapes without them; 0 of those that are not exact."""
-    found = radii(scene.points, scene.builder.indices, scene_adjacency(scene))
+    found = radii(scene)
     exact = set(exact_shapes(scene))
     own = [_exact_radius(scene, i) if i in exact else 0.0 for i in scene.builder.primitives]
     return wp.array(np.concatenate([found, own]), dtype=wp.float32, device=scene.device)
@@ -60,7 +60,7 @@ def _exact_radius(scene: Scene, shape: int) -> float:
     return BALL * float((half * np.linalg.norm(linear, axis=0))[half > 0.0].min())
 
 
-def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.ndarray:
+def radii(scene: Scene) -> np.ndarray:
     """Return the radius at every triangle: of its patch, or of the surface's curvature if that is less.
 
     A patch is as wide as twice its area over its circumference, and half the root of its area at most: a square of
@@ -69,33 +69,39 @@ def radii(points: np.ndarray, triangles: np.ndarray, edges: Adjacency) -> np.nda
     cylinders of radius r have 1.5 to 2.1 r. But a flat polygon has no less than by its own width: its rounded or
     bevelled edges count for themselves.
 
-    Args:
-        points: (N, 3) vertex positions, world units.
-        triangles: (F, 3) vertex numbers.
-        edges: of these triangles.
-
     Returns:
         (F,) float64, world units; 0: without area.
     """
-    area = 0.5 * columns.length(normal_columns(points, triangles))
-    sides = np.repeat(np.arange(len(edges.length)), edges.count)  # the edge of every entry of ``edges.faces``
+    edges = scene_adjacency(scene)
+    area = 0.5 * columns.length(scene_normals(scene))
 
-    def widths(joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def widths(name: str, joins: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the groups that edges join the triangles to, and how wide each is."""
-        group = joined_faces(len(triangles), edges, joins)
-        ends = ~joins[sides]
-        around = np.bincount(group[edges.faces[ends]], edges.length[sides[ends]], group.max(initial=-1) + 1)
+        group = _joined(scene, edges, name, joins)
+        sides = np.flatnonzero(~joins[edge_of_side(scene, edges)])
+        around = edges.length.take(edge_of_side(scene, edges).take(sides))
+        around = np.bincount(group.take(edges.faces.take(sides)), around, group.max(initial=-1) + 1)
         whole = np.bincount(group, area)
         half = 0.5 * np.sqrt(whole)
         return group, np.minimum(half, 2.0 * whole / np.maximum(around, np.maximum(half, 1e-300)))
 
     two = edges.count == 2
-    patch, wide = widths(two & (edges.wedge < CREASE))
-    polygon, narrow = widths(two & (edges.wedge == 0.0))
+    patch, wide = widths("patches", two & (edges.wedge < CREASE))
+    polygon, narrow = widths("polygons", two & (edges.wedge == 0.0))
     curved = np.flatnonzero(two & (edges.wedge > 0.0) & (edges.wedge < CREASE))
-    first, second = (polygon[edges.faces[edges.first[curved] + i]] for i in (0, 1))
-    across = np.bincount(polygon, area)[np.stack([first, second])].min(axis=0) / edges.length[curved]
+    first, second = (polygon.take(edges.faces.take(edges.first.take(curved) + i)) for i in (0, 1))
+    whole, wedge = np.bincount(polygon, area), edges.wedge.take(curved)
+    across = np.minimum(whole.take(first), whole.take(second)) / edges.length.take(curved)
     bend = np.full(len(narrow), np.inf)
     for own in (first, second):
-        np.minimum.at(bend, own, np.maximum(BEND * across / edges.wedge[curved], narrow[own]))
-    return RADIUS * np.minimum(wide[patch], bend[polygon])
+        np.minimum.at(bend, own, np.maximum(BEND * across / wedge, narrow.take(own)))
+    return RADIUS * np.minimum(wide.take(patch), bend.take(polygon))
+
+
+def _joined(scene: Scene, edges: Adjacency, name: str, joins: np.ndarray) -> np.ndarray:
+    """Return ``joined_faces``, kept by name as long as the same edges join the same triangles."""
+    held = scene.__dict__.setdefault("_joined_faces", {})
+    kept = held.get(name)
+    if kept is None or kept[0] is not edges.faces or not np.array_equal(kept[1], joins):
+        kept = held[name] = (edges.faces, joins, joined_faces(scene.face_count, edges, joins))
+    return kept[2]

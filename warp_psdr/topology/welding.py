@@ -124,14 +124,18 @@ def still_welded(points: np.ndarray, group: np.ndarray, tolerance: float) -> boo
     """
     if not len(points):
         return True
-    _numbers, first = np.unique(group, return_index=True)
-    away = points - points[first][group]
-    if not (np.abs(away).max() <= tolerance and ((away * away).sum(axis=1) <= tolerance * tolerance).all()):
+    first = np.empty(int(group.max()) + 1, np.int64)
+    first[group[::-1]] = np.arange(len(points) - 1, -1, -1)
+    others = np.flatnonzero(first.take(group) != np.arange(len(points)))
+    away = points.take(others, axis=0) - points.take(first.take(group.take(others)), axis=0)
+    if not ((away * away).sum(axis=1) <= tolerance * tolerance).all():
         return False
     # Points that are as near as that are so along any direction: neighbours in its order.
     apart = 3.0 * tolerance
-    order, along = _in_line(points[first])
-    x = points[first][order]
+    order, along = _in_line(points.take(first, axis=0))
+    if not np.isfinite(along).all():
+        return False
+    x = points.take(first.take(order), axis=0)
     left, step = PAIRS_A_VERTEX * len(points), 1
     while True:
         near = np.flatnonzero(along[step:] - along[:-step] <= apart)
