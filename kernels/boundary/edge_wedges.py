@@ -1,4 +1,4 @@
-"""Lengths and dihedral angles of the edges of meshes, in double precision on the host's processor."""
+"""Normals of triangles, and lengths and dihedral angles of their edges, in double precision on the host's processor."""
 
 import warp as wp
 
@@ -11,6 +11,21 @@ LEAST = 1.0e-300
 @wp.func
 def positive(x: wp.float64) -> wp.float64:
     return wp.max(x, wp.float64(LEAST))
+
+
+@wp.kernel(module=LISTS, enable_backward=False)
+def face_normals(
+    # In:
+    points: wp.array(dtype=wp.vec3d),
+    triangles: wp.array(dtype=wp.vec3i),
+    first: wp.int32,
+    # Out:
+    normal_out: wp.array(dtype=wp.vec3d),
+):
+    """Write a triangle's normal, as long as twice its area."""
+    i = first + wp.tid()
+    a = points[triangles[i][0]]
+    normal_out[i] = wp.cross(points[triangles[i][1]] - a, points[triangles[i][2]] - a)
 
 
 @wp.kernel(module=LISTS, enable_backward=False)

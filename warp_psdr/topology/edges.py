@@ -11,7 +11,7 @@ import warp as wp
 
 from warp_psdr import columns
 from warp_psdr.device import launch_on_host
-from warp_psdr.kernels.boundary.edge_wedges import edge_wedges
+from warp_psdr.kernels.boundary.edge_wedges import edge_wedges, face_normals
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
 from warp_psdr.progress import say
@@ -122,13 +122,9 @@ def area_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def normal_columns(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return (3, M): the normals of triangles, as long as twice their areas, by component."""
-    p = columns.of(points)
-
-    def normals(rows: slice) -> tuple[np.ndarray]:
-        a, b, c = (columns.take(p, corner) for corner in triangles[rows].T)
-        return (columns.cross(b - a, c - a),)
-
-    return columns.in_chunks(normals, len(triangles))[0]
+    inputs = [np.asarray(points, np.float64), triangles.astype(np.int32, copy=False)]
+    (normals,) = launch_on_host(face_normals, len(triangles), inputs, [wp.vec3d])
+    return columns.of(normals)
 
 
 def _solid(normals: np.ndarray, triangles: np.ndarray, group: np.ndarray) -> np.ndarray:
@@ -281,9 +277,10 @@ def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
     """Return some of the edges, by number."""
     if np.array_equal(keep, np.arange(len(edges.length))):
         return edges
-    count = edges.count[keep]
-    first = np.append(0, np.cumsum(count)).astype(np.int32)
-    faces = edges.faces[np.repeat(edges.first[:-1][keep] - first[:-1], count) + np.arange(first[-1])]
+    start, count = edges.first.take(keep), edges.count.take(keep)
+    first = np.zeros(len(keep) + 1, np.int32)
+    np.cumsum(count, out=first[1:])
+    faces = edges.faces.take(np.repeat(start - first[:-1], count) + np.arange(first[-1], dtype=np.int32))
     parts = {n: getattr(edges, n).take(keep, axis=0) for n in ("ends", "twins", "wedge", "length", "points")}
     return Adjacency(first=first, faces=faces, group=edges.group, **parts)
 

@@ -35,6 +35,7 @@ from warp_psdr.topology.edges import (
     while_welded,
     without,
 )
+from warp_psdr.topology.unchanged import kept
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.boundary.local_form import Edges
@@ -132,9 +133,9 @@ def film_edges(
         *_brushed_texcoords(scene),
         *view.numbers(),
     )
-    kept: FilmEdges | None = getattr(scene, "_film_edges", None)
-    if kept is not None and kept.every is every and kept.key == key:
-        return kept
+    before: FilmEdges | None = getattr(scene, "_film_edges", None)
+    if before is not None and before.every is every and before.key == key:
+        return before
     edges = without(every, scene.luminous) if hide_emitters else every
     if scene.builder.media and of_radiance:
         edges = without(edges, absent_faces(scene))
@@ -184,7 +185,10 @@ def _sides(scene: Scene, edges: Adjacency) -> np.ndarray:
 def flat_crease_edges(scene: Scene, found: FilmEdges) -> Edges | None:
     """Return the creases between flat faces (``boundary/path_space/flat_creases.py``), drawn by weight; None: none."""
     seen = found.flat_creases
-    return upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high) if len(seen.keep) else None
+    if not len(seen.keep):
+        return None
+    key = ("flat creases", found.key)
+    return kept(scene, key, lambda: upload(scene, found.edges, seen.keep, found.weight, seen.low, seen.high))
 
 
 def crease_edges(scene: Scene, found: FilmEdges) -> tuple[Edges, float] | None:
@@ -198,8 +202,13 @@ def crease_edges(scene: Scene, found: FilmEdges) -> tuple[Edges, float] | None:
     seen = found.creases
     if not len(seen.keep):
         return None
-    weight = seen.length * _sine(found.edges, seen.keep)
-    return upload(scene, found.edges, seen.keep, weight, seen.low, seen.high), float(weight.sum() / seen.length.sum())
+
+    def find() -> tuple[Edges, float]:
+        weight = seen.length * _sine(found.edges, seen.keep)
+        mean = float(weight.sum() / seen.length.sum())
+        return upload(scene, found.edges, seen.keep, weight, seen.low, seen.high), mean
+
+    return kept(scene, ("creases", found.key), find)
 
 
 def smooth_edges(scene: Scene, edges: Adjacency) -> np.ndarray:

@@ -42,9 +42,10 @@ def cumulative(weights: np.ndarray) -> np.ndarray:
         raise ValueError("got a negative, NaN or infinite weight; weights must be finite and non-negative")
     # Scaled by the largest first: the sum of large weights cannot overflow.
     largest = weights.max(axis=-1, keepdims=True)
-    p = np.where(largest > 0.0, weights / np.where(largest > 0.0, largest, 1.0), 1.0)
-    p = np.where(p > 0.0, np.maximum(p, np.finfo(np.float64).tiny), 0.0)  # nor do the least vanish in the next line
-    p = p / p.sum(axis=-1, keepdims=True)
+    p = weights / np.where(largest > 0.0, largest, 1.0)
+    p[largest[..., 0] <= 0.0] = 1.0
+    np.maximum(p, np.finfo(np.float64).tiny, out=p, where=p > 0.0)  # nor do the least vanish in the next line
+    p /= p.sum(axis=-1, keepdims=True)
     sums = np.cumsum(_lifted(p), axis=-1)
     # floor(x + 1/2) grows by at least one level where x does. Divided by the last sum, which rounding keeps off 1.
     levels = np.minimum(np.floor(sums * (LEVELS / sums[..., -1:]) + 0.5), LEVELS)
