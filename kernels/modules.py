@@ -45,7 +45,7 @@ FILES = {
     SCENE: ("films", "primitive.affine", "reduction", "shape.normals", "shape.transform", "surface"),
     DERIVED_VJP: ("shape.normals", "shape.transform"),
     DERIVED_JVP: ("shape.normals", "shape.transform"),
-    LISTS: ("boundary.edge_wedges", "boundary.film_clip", "boundary.shading_normals.bent_faces"),
+    LISTS: ("boundary.edge_lists", "boundary.edge_wedges", "boundary.film_clip", "boundary.shading_normals.bent_faces"),
     HEADERS: ("headers",),
 }
 

@@ -91,18 +91,22 @@ def launch_shards(
     workers.run_shards(shard, run)
 
 
-def launch_on_host(kernel: wp.Kernel, count: int, inputs: list, outputs: list[type]) -> list[np.ndarray]:
+def launch_on_host(kernel: wp.Kernel, count: int, inputs: list, outputs: list) -> list[np.ndarray]:
     """Run a kernel over items on the host's processor, whatever device the scene is on; its lists are the same then.
 
     Args:
         kernel: one thread an item; behind the inputs it takes the first item's number.
         count: number of items.
-        inputs: NumPy arrays are not copied; the last axis of those of vectors is as long as these.
-        outputs: type of each output, an array of ``count``.
+        inputs: NumPy arrays are not copied; those of vectors have one axis more.
+        outputs: type of each output, an array of ``count``; or the array that is filled.
+
+    Returns:
+        The outputs.
     """
     host = wp.get_device("cpu")
-    taken = [_on_host(x, a.type) if isinstance(x, np.ndarray) else x for x, a in zip(inputs, kernel.adj.args, strict=False)]
-    made = [wp.empty(count, dtype=kind, device=host) for kind in outputs]
+    kinds = [argument.type for argument in kernel.adj.args[: len(inputs)]]
+    taken = [_on_host(x, kind) if isinstance(x, np.ndarray) else x for x, kind in zip(inputs, kinds, strict=True)]
+    made = [x if isinstance(x, wp.array) else wp.empty(count, dtype=x, device=host) for x in outputs]
     dealt = workers.even_chunks(count)
     launch_shards(kernel, count, partial(_behind, taken, made), shards=len(dealt), device=host, chunks=dealt)
     return [array.numpy() for array in made]

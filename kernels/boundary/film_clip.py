@@ -45,33 +45,22 @@ def towards(view: View, x: wp.vec3d) -> wp.vec3d:
 
 
 @wp.func
-def spread(view: View, v: wp.vec3d) -> wp.float64:
+def lens_spread(view: View, v: wp.vec3d) -> wp.float64:
     """The largest change of v . eye over the lens."""
     return view.radius * wp.length(wp.vec2d(wp.dot(v, view.across), wp.dot(v, view.down)))
 
 
-@wp.struct
-class Stretch:
-    """The stretch of an edge that planes leave."""
-
-    low: wp.float64
-    high: wp.float64
-
-
 @wp.func
-def cut(s: Stretch, f: wp.float64, g: wp.float64) -> Stretch:
-    """Leave what is not below a plane, over which the ends are f and g high."""
+def above_plane(s: wp.vec2d, f: wp.float64, g: wp.float64) -> wp.vec2d:
+    """Leave of the stretch (low, high) of an edge what is not below a plane; its ends are f and g high over it."""
     zero = wp.float64(0.0)
-    r = Stretch()
-    r.low = s.low
-    r.high = s.high
+    if f < zero and g < zero:
+        return wp.vec2d(s[0], wp.float64(-1.0))
     if f < zero and g >= zero:
-        r.low = wp.max(s.low, -f / (g - f))
-    elif f >= zero and g < zero:
-        r.high = wp.min(s.high, -f / (g - f))
-    elif f < zero and g < zero:
-        r.high = wp.float64(-1.0)
-    return r
+        return wp.vec2d(wp.max(s[0], -f / (g - f)), s[1])
+    if f >= zero and g < zero:
+        return wp.vec2d(s[0], wp.min(s[1], -f / (g - f)))
+    return s
 
 
 @wp.func
@@ -89,44 +78,54 @@ def clip_edges(
     # In:
     window: Window,
     ends: wp.array2d(dtype=wp.vec3d),
+    numbers: wp.array(dtype=wp.int32),
     first: wp.int32,
     # Out:
     low_out: wp.array(dtype=wp.float64),
     high_out: wp.array(dtype=wp.float64),
     length_out: wp.array(dtype=wp.float64),
 ):
-    """Clip edges (E, 2), as ``CameraView.clip`` says."""
+    """Clip edges, ``numbers``, as ``CameraView.clip`` says."""
     i = first + wp.tid()
-    p = window.to_camera * (ends[i, 0] - window.position)
-    q = window.to_camera * (ends[i, 1] - window.position)
+    p = window.to_camera * (ends[numbers[i], 0] - window.position)
+    q = window.to_camera * (ends[numbers[i], 1] - window.position)
     one = wp.float64(1.0)
     w_p = window.finite * p[2] + (one - window.finite)
     w_q = window.finite * q[2] + (one - window.finite)
     a = wp.vec3d(window.center[0] * w_p - window.scale[0] * p[0], window.center[1] * w_p - window.scale[1] * p[1], w_p)
     b = wp.vec3d(window.center[0] * w_q - window.scale[0] * q[0], window.center[1] * w_q - window.scale[1] * q[1], w_q)
-    s = Stretch()
-    s.low = wp.float64(0.0)
-    s.high = one
-    s = cut(s, p[2] - window.near, q[2] - window.near)
-    s = cut(s, window.far - p[2], window.far - q[2])
+    s = wp.vec2d(wp.float64(0.0), one)
+    s = above_plane(s, p[2] - window.near, q[2] - window.near)
+    s = above_plane(s, window.far - p[2], window.far - q[2])
     for k in range(2):
         beside_p = window.border * w_p + window.radius * window.scale[k] * wp.abs(p[2] / window.focus - one)
         beside_q = window.border * w_q + window.radius * window.scale[k] * wp.abs(q[2] / window.focus - one)
-        s = cut(s, a[k] + beside_p, b[k] + beside_q)
-        s = cut(s, window.size[k] * w_p + beside_p - a[k], window.size[k] * w_q + beside_q - b[k])
+        s = above_plane(s, a[k] + beside_p, b[k] + beside_q)
+        s = above_plane(s, window.size[k] * w_p + beside_p - a[k], window.size[k] * w_q + beside_q - b[k])
     length = wp.float64(0.0)
-    if s.high > s.low:
+    if s[1] > s[0]:
         # The last component is 1 / z: what a lens point shifts the image by, but for the common shift a l / f.
-        step = image(a, b, s.high) - image(a, b, s.low)
+        step = image(a, b, s[1]) - image(a, b, s[0])
         lens = window.radius * step[2]
         scales = window.scale[0] * window.scale[0] + window.scale[1] * window.scale[1]
         # E |l_x|^2 = E |l_y|^2 = 1/4 on the unit disk.
         length = wp.sqrt(step[0] * step[0] + step[1] * step[1] + wp.float64(0.25) * (lens * lens) * scales)
     if not wp.isfinite(length):
         length = wp.float64(0.0)
-    low_out[i] = s.low
-    high_out[i] = s.high
+    low_out[i] = s[0]
+    high_out[i] = s[1]
     length_out[i] = length
+
+
+@wp.func
+def beside(
+    view: View, points: wp.array(dtype=wp.vec3), face: wp.vec3i, begin: wp.vec3d, along: wp.vec3d, plane: wp.vec3d
+) -> wp.vec2d:
+    """How far beside the plane through an edge and the eye a face lies, and how much that varies over the lens."""
+    into = wp.vec3d(points[face[0]]) - begin + (wp.vec3d(points[face[1]]) - begin)
+    into = into + (wp.vec3d(points[face[2]]) - begin)
+    # into . (along x eye) = eye . (into x along)
+    return wp.vec2d(wp.dot(into, plane), lens_spread(view, wp.cross(into, along)))
 
 
 @wp.kernel(module=LISTS, enable_backward=False)
@@ -157,14 +156,7 @@ def faces_apart(
     if first_face[edge + 1] - start == 2:
         second = start + 1
     scale = wp.length(plane) * (length[edge] * coplanar + width[i])
-    wide = bool(True)
-    product = wp.float64(1.0)
-    for k in range(2):
-        face = triangles[faces[wp.where(k == 0, start, second)]]
-        into = wp.vec3d(points[face[0]]) - begin + (wp.vec3d(points[face[1]]) - begin)
-        into = into + (wp.vec3d(points[face[2]]) - begin)
-        side = wp.dot(into, plane)
-        # into . (along x eye) = eye . (into x along)
-        wide = wide and wp.abs(side) > scale + spread(view, wp.cross(into, along))
-        product = product * side
-    apart_out[i] = wide and product < wp.float64(0.0)
+    one = beside(view, points, triangles[faces[start]], begin, along, plane)
+    other = beside(view, points, triangles[faces[second]], begin, along, plane)
+    wide = wp.abs(one[0]) > scale + one[1] and wp.abs(other[0]) > scale + other[1]
+    apart_out[i] = wide and one[0] * other[0] < wp.float64(0.0)

@@ -44,15 +44,15 @@ def make_touching_pairs(width: int) -> wp.Kernel:
         pairs_out: wp.array(dtype=wp.vec3i),
         spans_out: wp.array(dtype=wp.vec2),
     ):
-        """Write (triangle, first corner of its edge, triangle of another shape) and the part of the edge that lies on it.
+        """Write (triangle, first corner of its edge, triangle of another shape) and the part of the edge on the latter.
 
         Args:
             boxes: ``wp.Bvh`` of the triangles.
             corners: (n, 3) of the triangles.
             shapes: (n,) which shape they belong to.
             tolerance: distance, in world units, of what touches.
-            rounding: the same for short pieces, which touch if they are closer than ``steepest`` times their length: the
-                lowest edges of a fine ball that stands on a floor hang above it.
+            rounding: the same for short pieces, which touch if they are closer than ``steepest`` times their length:
+                the lowest edges of a fine ball that stands on a floor hang above it.
             steepest: largest sine of the angle between an edge and a triangle that it lies on.
             count_out: (1,) how many pairs there are; those past the end of ``pairs_out`` are counted only.
             pairs_out: (m,).

@@ -76,14 +76,15 @@ class CameraView:
             return np.zeros(v.shape[:-1])
         return self.radius * np.linalg.norm(np.ascontiguousarray(v) @ self.pose[:3, :2], axis=-1)
 
-    def clip(self, ends: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def clip(self, ends: np.ndarray, numbers: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Clip edges to what the film, filter margin included, can see of them.
 
         Through a lens a point at depth z is seen within ``scale a |1/f - 1/z|`` of its image from the centre; times z
         that is convex along an edge, so what is interpolated from the ends is too wide rather than too narrow.
 
         Args:
-            ends: (E, 2, 3).
+            ends: (N, 2, 3).
+            numbers: (E,) which of them; None: all.
 
         Returns:
             (E,) the stretches' ends, low and high in [0, 1], and the root mean square over the lens of the length of
@@ -104,8 +105,10 @@ class CameraView:
         window.border = camera.sample_border * max(reach - 0.5, 0.0)
         window.radius, window.focus = self.radius, self.focus
         window.position = wp.vec3d(*self.pose[:3, 3])
-        window.to_camera = wp.mat33d(np.linalg.inv(self.pose[:3, :3]))
-        low, high, length = launch_on_host(clip_edges, len(ends), [window, ends], [wp.float64] * 3)
+        window.to_camera = wp.mat33d(*np.linalg.inv(self.pose[:3, :3]).reshape(-1).tolist())
+        numbers = np.arange(len(ends)) if numbers is None else numbers
+        inputs = [window, ends, numbers.astype(np.int32)]
+        low, high, length = launch_on_host(clip_edges, len(numbers), inputs, [wp.float64] * 3)
         return low, high, length
 
     def record(self) -> View:

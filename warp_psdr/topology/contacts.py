@@ -129,10 +129,12 @@ def _near_others(scene: Scene, tolerance: float) -> np.ndarray:
     if not scene.face_count:
         return np.zeros(0, np.int64)
     box, size = scene.boxes, 2.0 * tolerance
-    meets = ((box.low[:, None] <= box.high[None] + size) & (box.high[:, None] + size >= box.low[None])).all(axis=2)
+    meets = np.all(box.low[:, None] <= box.high[None] + size, axis=2)
     use = np.zeros(scene.face_count, bool)
     x = np.ascontiguousarray(scene.points.T)
-    for a, b in np.argwhere(meets & ~np.eye(len(meets), dtype=bool)):
+    for a, b in np.argwhere(meets & meets.T):
+        if a == b:
+            continue
         record = scene.builder.shapes[a]
         own = np.arange(record.first_face, record.first_face + record.face_count)
         # First along the axis that tells most triangles apart.

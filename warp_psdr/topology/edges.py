@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import warp as wp
 
 from warp_psdr import columns
 from warp_psdr.device import launch_on_host
+from warp_psdr.kernels.boundary.edge_lists import take_edges
 from warp_psdr.kernels.boundary.edge_wedges import edge_wedges, face_normals
 from warp_psdr.kernels.boundary.local_form import Edges
 from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DELTA_LIGHTS
@@ -273,13 +274,17 @@ def join(a: Adjacency, b: Adjacency) -> Adjacency:
     return Adjacency(first=np.append(a.first, a.first[-1] + b.first[1:]).astype(np.int32), group=a.group, **parts)
 
 
+def _firsts(count: np.ndarray) -> np.ndarray:
+    """Return where lists of these lengths start in one, and where the last one ends."""
+    first = np.zeros(len(count) + 1, np.int32)
+    np.cumsum(count, out=first[1:])
+    return first
+
+
 def select(edges: Adjacency, keep: np.ndarray) -> Adjacency:
     """Return some of the edges, by number."""
-    if np.array_equal(keep, np.arange(len(edges.length))):
-        return edges
     start, count = edges.first.take(keep), edges.count.take(keep)
-    first = np.zeros(len(keep) + 1, np.int32)
-    np.cumsum(count, out=first[1:])
+    first = _firsts(count)
     faces = edges.faces.take(np.repeat(start - first[:-1], count) + np.arange(first[-1], dtype=np.int32))
     parts = {n: getattr(edges, n).take(keep, axis=0) for n in ("ends", "twins", "wedge", "length", "points")}
     return Adjacency(first=first, faces=faces, group=edges.group, **parts)
@@ -349,12 +354,12 @@ def while_welded(scene: Scene, edges: Adjacency, key: Hashable, find: Callable[[
     kept = getattr(scene, "_edges", None)
     if kept is None or edges.faces is not kept[2].faces:
         return find()
-    found = getattr(scene, "_welded", None)
-    if found is None or found[0] is not kept[2]:
-        found = scene._welded = (kept[2], {})  # type: ignore[attr-defined]
-    if key not in found[1]:
-        found[1][key] = find()
-    return found[1][key]
+    held: tuple[Topology, dict[Hashable, Any]] | None = getattr(scene, "_welded", None)
+    if held is None or held[0] is not kept[2]:
+        held = scene._welded = (kept[2], {})  # type: ignore[attr-defined]
+    if key not in held[1]:
+        held[1][key] = find()
+    return held[1][key]
 
 
 def edge_of_side(scene: Scene, edges: Adjacency) -> np.ndarray:
@@ -450,14 +455,16 @@ def upload(scene: Scene, edges: Adjacency, keep: np.ndarray, weight: np.ndarray,
         kind = np.int32 if dtype is wp.int32 else np.float32
         return wp.array(np.ascontiguousarray(values, dtype=kind), dtype=dtype, device=scene.device)
 
-    edges = select(edges, keep)
+    n, first = len(keep), _firsts(edges.count.take(keep))
+    points = wp.empty((n, 2), dtype=wp.vec3, device="cpu")
+    ends, twins = (wp.empty((n, 2), dtype=wp.int32, device="cpu") for _ in range(2))
+    faces = wp.empty(int(first[-1]), dtype=wp.int32, device="cpu")
+    inputs = [keep.astype(np.int32), first, edges.points, edges.ends, edges.twins, edges.faces, edges.first]
+    launch_on_host(take_edges, n, inputs, [points, ends, twins, faces])
     record = Edges()
     record.cdf = array(cumulative(weight))
-    record.points = wp.array(np.ascontiguousarray(edges.points, np.float32), dtype=wp.vec3, device=scene.device, ndim=2)
-    record.ends = array(edges.ends, wp.int32)
-    record.twins = array(edges.twins, wp.int32)
-    record.faces = array(edges.faces, wp.int32)
-    record.first = array(edges.first, wp.int32)
+    record.points, record.ends, record.twins, record.faces = (x.to(scene.device) for x in (points, ends, twins, faces))
+    record.first = array(first, wp.int32)
     record.low, record.high = array(low), array(high)
     # Only lights of no area, and parallel rays of a camera, have edges one behind the other (``coincident.py``).
     parallel = {camera.kind for camera in scene.builder.cameras} & {CAMERA_ORTHOGRAPHIC}

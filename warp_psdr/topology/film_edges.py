@@ -141,7 +141,7 @@ def film_edges(
         edges = without(edges, absent_faces(scene))
     asked = np.ones(len(edges.length), bool) if camera_moves else moving_edges(scene, edges, shapes)
     jumps = _jumps(scene, view, edges, asked)
-    usable = asked & ~jumps & (edges.wedge > 0.0) & scatters(scene).any(axis=1)[_shape(scene, edges)]
+    usable = asked & ~jumps & (edges.wedge > 0.0) & np.any(scatters(scene), axis=1)[_shape(scene, edges)]
     creases = _seen(view, edges, usable)
     lit = _facets(scene, view, edges, jumps) & (of_radiance and not scene.builder.media)
     others, flat_creases = _seen(view, edges, jumps & ~lit), _seen(view, edges, lit)
@@ -396,7 +396,7 @@ def _volume(points: np.ndarray, triangles: np.ndarray) -> float:
 def _seen(view: CameraView, edges: Adjacency, use: np.ndarray) -> Seen:
     """Return what the film can see of some edges, a mask."""
     keep = np.flatnonzero(use)
-    low, high, visible = view.clip(edges.points.take(keep, axis=0))
+    low, high, visible = view.clip(edges.points, keep)
     seen = visible > 0.0
     return Seen(keep[seen], low[seen], high[seen], visible[seen])
 

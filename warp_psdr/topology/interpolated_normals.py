@@ -87,7 +87,7 @@ def _terminator_faces(
     moves = np.full(len(b.shapes), camera_moves)
     moves[sorted(shapes)] = True
     # What mirrors and glass reflect where n . v is small goes into their own triangle: black on both sides.
-    used = moves & scatters(scene).any(axis=1) & np.array([s.smooth != 0 for s in b.shapes], bool)
+    used = moves & np.any(scatters(scene), axis=1) & np.array([s.smooth != 0 for s in b.shapes], bool)
     faces = np.flatnonzero(interpolated_faces(scene) & used[b.face_shape]).astype(np.int32)
     if not len(faces):
         return None

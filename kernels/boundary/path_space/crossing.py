@@ -108,9 +108,7 @@ def share_an_edge(g: wp.vec3i, h: wp.vec3i) -> bool:
 
 
 @wp.func
-def may_cross(
-    points: wp.array(dtype=wp.vec3), p: wp.vec3i, plane_p: Plane, q: wp.vec3i, tolerance: wp.float64
-) -> bool:
+def may_cross(points: wp.array(dtype=wp.vec3), p: wp.vec3i, plane_p: Plane, q: wp.vec3i, tolerance: wp.float64) -> bool:
     """Whether two triangles that share no edge are a candidate."""
     h_q = heights(points, plane_p, q, tolerance)
     across_p = straddles(h_q)

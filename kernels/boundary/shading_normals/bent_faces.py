@@ -3,7 +3,7 @@
 import warp as wp
 
 from warp_psdr.kernels.boundary.edge_wedges import positive
-from warp_psdr.kernels.boundary.film_clip import View, spread, towards
+from warp_psdr.kernels.boundary.film_clip import View, lens_spread, towards
 from warp_psdr.kernels.modules import LISTS
 
 
@@ -58,7 +58,7 @@ def terminator_weights(
     for k in range(3):
         normal = wp.vec3d(normals[face[k]])
         facing = wp.dot(normal, towards(view, wp.vec3d(points[face[k]])))
-        reach = spread(view, normal)
+        reach = lens_spread(view, normal)
         low = wp.min(low, facing - reach)
         high = wp.max(high, facing + reach)
     size = wp.max(wp.max(wp.length(a - b), wp.length(b - c)), wp.length(c - a))

@@ -38,17 +38,20 @@ def cumulative(weights: np.ndarray) -> np.ndarray:
         raise ValueError(
             f"got weights of shape {weights.shape}; expected 1 to {LEVELS - 1} entries along the last axis"
         )
-    if not np.all(np.isfinite(weights)) or np.any(weights < 0.0):
-        raise ValueError("got a negative, NaN or infinite weight; weights must be finite and non-negative")
     # Scaled by the largest first: the sum of large weights cannot overflow.
     largest = weights.max(axis=-1, keepdims=True)
+    if not (weights.min(initial=0.0) >= 0.0 and largest.max(initial=0.0) < np.inf):  # nor NaN
+        raise ValueError("got a negative, NaN or infinite weight; weights must be finite and non-negative")
     p = weights / np.where(largest > 0.0, largest, 1.0)
     p[largest[..., 0] <= 0.0] = 1.0
-    np.maximum(p, np.finfo(np.float64).tiny, out=p, where=p > 0.0)  # nor do the least vanish in the next line
+    if p.min(initial=1.0) < np.finfo(np.float64).tiny:  # nor do the least vanish in the next line
+        np.maximum(p, np.finfo(np.float64).tiny, out=p, where=p > 0.0)
     p /= p.sum(axis=-1, keepdims=True)
     sums = np.cumsum(_lifted(p), axis=-1)
     # floor(x + 1/2) grows by at least one level where x does. Divided by the last sum, which rounding keeps off 1.
-    levels = np.minimum(np.floor(sums * (LEVELS / sums[..., -1:]) + 0.5), LEVELS)
+    sums *= LEVELS / sums[..., -1:]
+    sums += 0.5
+    levels = np.minimum(np.floor(sums, out=sums), LEVELS, out=sums)
     out = np.zeros((*weights.shape[:-1], count + 1), dtype=np.float32)
     out[..., 1:] = levels / LEVELS
     return out
@@ -85,6 +88,8 @@ def _lifted(p: np.ndarray) -> np.ndarray:
     """Raise positive probabilities to at least one level and scale the others down to keep the sum at one."""
     # A hair above one level, so that rounding in the cumulative sum cannot lose it.
     unit = (1.0 + 1e-6) / LEVELS
+    if p.min(initial=1.0) >= unit and (p.sum(axis=-1) <= 1.0).all():
+        return p
     scale = np.ones((*p.shape[:-1], 1))
     while True:
         small = (p > 0.0) & (p * scale < unit)
