@@ -123,6 +123,8 @@ def unlit(config):
 FACTORIES = {
     "adam.make_adam": [("masked", (True,), FAST), ("plain", (False,), FAST)],
     "adam.make_count_unusable": [("", (), FAST)],
+    "boundary.path_space.crossing.make_crossing_triangles": [("", (), FAST)],
+    "boundary.touching.make_touching_pairs": [("", (1,), FAST)],
     "primitive.redistance.make_sweep_kernel": [("", (), FAST)],
     "primitive.redistance.make_mesh_distance_kernel": [("", (), FAST)],
     "loss.make_terms": [("relative", (relative_squared, 3), FAST), ("of one channel", (relative_squared, 1), SLOW)],
@@ -130,10 +132,7 @@ FACTORIES = {
     "loss.make_grid_terms": [("", (), SLOW)],
     "loss.make_total": [("", (), SLOW)],
     "aov.make_aov_kernel": [("textures", (TEXTURED,), SLOW), ("materials", (MATERIALS,), SLOW)],
-    "trace.make_trace_kernel": [
-        ("image", (SIMPLE, False, c.RFILTER_BOX), SLOW),
-        ("interior", (SIMPLE, True, None), SLOW),
-    ],
+    "trace.make_trace_kernel": [("image", (SIMPLE, False, c.RFILTER_BOX), SLOW), ("interior", (SIMPLE, True, None), SLOW)],
     "trace.make_media_trace_kernel": [
         ("image", (MEDIA, False, False, False, c.RFILTER_BOX), SLOW),
         ("interior", (GRIDS, True, True, False, None), SLOW),

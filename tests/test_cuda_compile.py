@@ -20,6 +20,7 @@ from tests.cuda_factories import FACTORIES, FOR_FILMS, MADE_BY
 ARCHITECTURE = 90
 #: Factories of kernels that run on the CPU only, and why.
 CPU_ONLY = {
+    "boundary.path_space.crossing.make_crossing_packets": "the wide BVH is a CPU structure",
     "bvh.build.make_build": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
     "bvh.refit.make_refit": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
     "interior.replay._make_lane_kernel": "paths side by side are for SIMD; make_replay_kernel has one a thread on CUDA",

@@ -2,7 +2,7 @@
 
 import warp as wp
 
-from warp_psdr.kernels.boundary.path_space.crossing import make_crossing_pairs
+from warp_psdr.kernels.boundary.path_space.crossing import make_crossing_packets, make_crossing_triangles
 from warp_psdr.kernels.boundary.touching import make_touching_pairs
 
 
@@ -12,4 +12,5 @@ def make_pair_kernels(width: int) -> tuple[wp.Kernel, wp.Kernel]:
     Args:
         width: lanes of the wide BVH; 1: there is none.
     """
-    return make_crossing_pairs(width), make_touching_pairs(width)
+    crossing = make_crossing_packets(width) if width > 1 else make_crossing_triangles()
+    return crossing, make_touching_pairs(width)

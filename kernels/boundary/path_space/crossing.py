@@ -128,17 +128,12 @@ def may_cross(points: wp.array(dtype=wp.vec3), p: wp.vec3i, plane_p: Plane, q: w
 
 
 @functools.cache
-def make_crossing_pairs(width: int) -> wp.Kernel:
-    """Make the kernel that finds candidates: one thread a packet of the wide BVH, or, of width 1, a triangle.
+def make_crossing_packets(width: int) -> wp.Kernel:
+    """Make the kernel that finds candidates in a wide BVH, one thread a packet; those of a lane run one by one.
 
     It writes pairs with face numbers i < j to the lane's row, and counts them. A count beyond the row's end tells how
-    long a row suffices. ``groups``: numbers of the corners' positions, equal where corners are welded. Threads of a
-    lane that take packets run one after the other.
+    long a row suffices. ``groups``: numbers of the corners' positions, equal where corners are welded.
     """
-    return _crossing_packets(width) if width > 1 else _crossing_triangles()
-
-
-def _crossing_packets(width: int) -> wp.Kernel:
     near_pairs = make_near_pairs(width)
 
     @wp.kernel(module=pairs_module(width), enable_backward=False)
@@ -170,7 +165,10 @@ def _crossing_packets(width: int) -> wp.Kernel:
     return crossing_pairs
 
 
-def _crossing_triangles() -> wp.Kernel:
+@functools.cache
+def make_crossing_triangles() -> wp.Kernel:
+    """Make the kernel that finds candidates in a ``wp.Mesh``, one thread a triangle, and writes them likewise."""
+
     @wp.kernel(module=pairs_module(1), enable_backward=False)
     def crossing_pairs(
         # In:
