@@ -132,7 +132,10 @@ FACTORIES = {
     "loss.make_grid_terms": [("", (), SLOW)],
     "loss.make_total": [("", (), SLOW)],
     "aov.make_aov_kernel": [("textures", (TEXTURED,), SLOW), ("materials", (MATERIALS,), SLOW)],
-    "trace.make_trace_kernel": [("image", (SIMPLE, False, c.RFILTER_BOX), SLOW), ("interior", (SIMPLE, True, None), SLOW)],
+    "trace.make_trace_kernel": [
+        ("image", (SIMPLE, False, c.RFILTER_BOX), SLOW),
+        ("interior", (SIMPLE, True, None), SLOW),
+    ],
     "trace.make_media_trace_kernel": [
         ("image", (MEDIA, False, False, False, c.RFILTER_BOX), SLOW),
         ("interior", (GRIDS, True, True, False, None), SLOW),
@@ -317,9 +320,7 @@ FACTORIES = {
         ("indirect, materials", (MATERIALS, "reverse", False, True), SLOW),
         ("reverse, exact shapes", (EXACT, "reverse", True), SLOW),
     ],
-    "boundary.specular.long_chains.make_long_chains_kernel": [
-        ("materials", (MATERIALS,), SLOW),
-    ],
+    "boundary.specular.long_chains.make_long_chains_kernel": [("materials", (MATERIALS,), SLOW)],
     "boundary.specular.long_chains.make_long_media_chains_kernel": [("mirrors", (MEDIA_MIRRORS,), SLOW)],
     "boundary.specular.media_line_search.make_media_line_search_kernel": [
         ("reverse", (MEDIA_MIRRORS, moving(MEDIA_MIRRORS), "reverse", False, False), SLOW),
