@@ -1,6 +1,6 @@
 """Finds four numbers of a cloth's material from a film of it: stretching, area, damping and bending.
 
-    python examples/cloth_stiffness.py            # minutes on two cores; needs the extra "newton"
+    python examples/cloth_stiffness.py            # a minute or two on two cores; needs the extra "newton"
     python examples/cloth_stiffness.py --quick    # fewer frames and pixels, rougher
 
 A cloth hangs by two corners before a wall, on which a lamp casts its shadow. It begins flat, is pushed, and swings.
@@ -101,7 +101,7 @@ class Cloth:
 
 
 def main(
-    folder: Path = ROOT / "out" / "cloth", *, width: int = 64, frames: int = 24, steps: int = 60, spp: int = 8
+    folder: Path = ROOT / "out" / "cloth", *, width: int = 64, frames: int = 24, steps: int = 80, spp: int = 8
 ) -> dict:
     """Recover the numbers, write the pictures and return the report."""
     began = time.perf_counter()

@@ -80,7 +80,7 @@ class Robot:
     """An arm before a camera: joint angles, and how the camera moves from where it is believed to be."""
 
     def __init__(self, width: int):
-        self.model, place = arm(), psdr.Transform.look_at([2.6, -2.2, 1.6], [0.2, 0.0, 0.7], [0, 0, 1])
+        self.model, place = arm(), psdr.Transform.look_at([2.2, -2.0, 2.7], [0.2, 0.0, 0.5], [0, 0, 1])
         self.place = wp.transform(*wp.transform_decompose(wp.mat44(place.matrix))[:2])
         self.joints = wp.array(np.radians(TRUTH), dtype=float, device="cpu", requires_grad=True)
         self.motion = wp.zeros(2, dtype=wp.vec3, device="cpu", requires_grad=True)
@@ -90,7 +90,7 @@ class Robot:
         self.scene = psdr.from_newton(
             self.model,
             sensor={"type": "perspective", "fov": 40.0, "to_world": place, "film": pixels},
-            emitters=[{"type": "rectangle", "to_world": lamp, "emitter": {"type": "area", "radiance": 60.0}}],
+            emitters=[{"type": "rectangle", "to_world": lamp, "emitter": {"type": "area", "radiance": 250.0}}],
             sky={"type": "constant", "radiance": 0.2},
         )
         self.params = psdr.traverse(self.scene)

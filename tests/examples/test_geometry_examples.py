@@ -125,6 +125,31 @@ def test_throw_is_found_from_the_shadow(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_cloth_is_found_from_its_film(example, tmp_path: Path) -> None:
+    pytest.importorskip("newton")
+    module = example("cloth_stiffness")
+    report = module.main(tmp_path, width=32, frames=8, steps=40, spp=8)
+    assert max(report["errors"].values()) < 0.1 < np.abs(module.START / module.TRUTH - 1.0).min() / 3.0
+    assert json.loads((tmp_path / "report.json").read_text()) == report
+    assert contrast(tmp_path / "result.png") > 0.05
+    from PIL import Image
+
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames == 8 and film.size == (256, 128)
+
+
+@pytest.mark.slow
+def test_arm_and_camera_are_found(example, tmp_path: Path) -> None:
+    pytest.importorskip("newton")
+    report = example("robot_pose").main(tmp_path, width=48, steps=90, spp=16)
+    for name in ("worst joint, degrees", "camera's turn, degrees", "its shift, cm"):
+        start, found = report[f"{name}: start, found"]
+        assert found < start / 5.0
+    assert json.loads((tmp_path / "report.json").read_text()) == report
+    assert contrast(tmp_path / "result.png") > 0.05
+
+
+@pytest.mark.slow
 def test_pose_and_fog_are_found_from_the_shadow(example, tmp_path: Path) -> None:
     module = example("see_through_fog")
     report = module.main(tmp_path, width=24, steps=220, spp=16)
