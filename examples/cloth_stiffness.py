@@ -145,4 +145,4 @@ def main(
 
 
 if __name__ == "__main__":
-    recovery.run(main, __doc__, {"width": 32, "frames": 12, "steps": 30})
+    recovery.run(main, __doc__, {"width": 32, "frames": 12, "steps": 50})
