@@ -37,6 +37,7 @@ def from_newton(
     emitters: Iterable[Mapping[str, Any]] = (),
     bsdfs: Mapping[str, Mapping[str, Any]] | None = None,
     resolution: int | None = None,
+    smooth: bool = False,
     **more: Mapping[str, Any],
 ) -> Scene:
     """Return a scene of a ``newton.Model``: shapes, cloths and soft bodies, which ``psdr.bind(params, state)`` moves.
@@ -50,6 +51,8 @@ def from_newton(
         emitters: likewise.
         bsdfs: by name, instead of two-sided ``principled`` of the model's colour.
         resolution: of the film; default: the sensor's.
+        smooth: whether round and soft shapes have interpolated normals. Pictures are smoother then, and derivatives of
+            glossy materials lack the jump where such a normal turns away from the viewer.
         **more: other objects of the scene, by name.
 
     Raises:
@@ -80,7 +83,7 @@ def from_newton(
         body = int(model.shape_body.numpy()[number])
         pose = Transform(_matrix(poses[body])) @ at if body >= 0 else at
         color = _numpy(model.shape_color, (-1, 3))[number] if model.shape_color is not None else np.array(GREY)
-        scene[name] = _mesh(mesh, bsdf_of(name, color)) | {"to_world": pose}
+        scene[name] = _mesh(mesh, bsdf_of(name, color), smooth) | {"to_world": pose}
         if body >= 0:
             bodies[f"{name}.to_world"], local[f"{name}.to_world"] = body, at.matrix
     particles: dict[str, np.ndarray] = {}
@@ -88,7 +91,7 @@ def from_newton(
     faces = _surfaces(model)
     for i, (numbers, own) in enumerate(_parts(faces)):
         name = f"soft{i}"
-        scene[name] = _mesh((places[numbers], own, True), bsdf_of(name, np.array(GREY)))
+        scene[name] = _mesh((places[numbers], own, True), bsdf_of(name, np.array(GREY)), smooth)
         particles[f"{name}.vertex_positions"] = numbers
     loose = len(places) - len(np.unique(faces))
     left += [f"{loose} particles that belong to no surface"] if loose else []
@@ -103,10 +106,10 @@ def from_newton(
     return loaded
 
 
-def _mesh(mesh: Mesh, bsdf: dict[str, Any]) -> dict[str, Any]:
-    vertices, faces, smooth = mesh
+def _mesh(mesh: Mesh, bsdf: dict[str, Any], smooth: bool) -> dict[str, Any]:
+    vertices, faces, round_or_soft = mesh
     shape = {"type": "mesh", "vertices": vertices.astype(np.float32), "faces": faces.astype(np.int32), "bsdf": bsdf}
-    return shape | ({} if smooth else {"face_normals": True})
+    return shape | ({} if smooth and round_or_soft else {"face_normals": True})
 
 
 def _numpy(array: wp.array | None, shape: tuple[int, ...]) -> np.ndarray:
