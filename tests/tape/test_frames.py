@@ -88,9 +88,9 @@ def film_of_a_fall(scene, params, gravity, way, frames=range(FRAMES)):
     return tape, images
 
 
-def slopes(way, frames=range(FRAMES)):
+def slopes(way, frames=range(FRAMES), **more):
     """Return the derivatives of the weighted frames by the gravity and by the floor's colour."""
-    scene = psdr.load_dict(node())
+    scene = psdr.load_dict(node(**more))
     params = psdr.traverse(scene)
     params.requires_grad(SHEET, FLOOR)
     gravity = gravity_of(9.8)
@@ -107,6 +107,37 @@ def test_frames_add_up(way):
     assert np.abs(single).min() > 1e-3
     np.testing.assert_allclose(together, single, rtol=1e-5)
     np.testing.assert_allclose(slopes(way, [1, 1]), 2.0 * slopes(way, [1]), rtol=1e-6)
+
+
+def glass_ball_and_sky():
+    """A ball of glass with interpolated normals, an environment map and a bitmap."""
+    rng = np.random.default_rng(0)
+    paint = {"type": "bitmap", "data": rng.random((8, 8, 3)).astype(np.float32), "raw": True}
+    glass = {"type": "dielectric"}
+    return {
+        "ball": {"type": "sphere", "center": [0.8, 0.5, 0.3], "radius": 0.3, "resolution": 12, "bsdf": glass},
+        "sky": {"type": "envmap", "bitmap": rng.random((6, 12, 3)).astype(np.float32)},
+        "wall": {
+            "type": "rectangle",
+            "to_world": T.translate([0.0, 1.0, -2.0]) @ T.scale(2.0),
+            "bsdf": {"type": "diffuse", "reflectance": paint},
+        },
+    }
+
+
+def fog():
+    """A homogeneous medium around the sheet."""
+    inside = {"type": "homogeneous", "albedo": 0.6, "sigma_t": 0.3}
+    to_world = T.translate([0.0, 0.9, 0.0]) @ T.scale(2.5)
+    return {"fog": {"type": "cube", "to_world": to_world, "bsdf": {"type": "null"}, "interior": inside}}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("more", [glass_ball_and_sky, fog])
+def test_frames_add_up_beside(more):
+    single = sum(slopes("bound", [k], **more()) for k in range(FRAMES))
+    assert np.abs(single).min() > 1e-3
+    np.testing.assert_allclose(slopes("bound", **more()), single, rtol=1e-5)
 
 
 @pytest.mark.slow
