@@ -22,7 +22,6 @@ import newton
 import numpy as np
 import recovery
 import warp as wp
-from warp.optim import Adam
 
 import warp_psdr as psdr
 from warp_psdr import plots
@@ -107,27 +106,17 @@ def main(
     began = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     cloth = Cloth(width, frames)
-    optimiser = Adam([cloth.logarithms], betas=(0.8, 0.95))
     first = [image.numpy() for image in cloth.film(FILM_SEED + frames, 16 * spp)]
     cloth.logarithms.assign(np.log(TRUTH))
     given = [image.numpy() for image in cloth.film(FILM_SEED, 16 * spp)]
     cloth.logarithms.assign(np.log(START))
-    rng = np.random.default_rng(0)
-    for step in range(steps):
-        shown = sorted(rng.choice(frames, max(frames // LOOKED_AT, 1), replace=False).tolist())
-        tape = wp.Tape()
-        with tape:
-            images = cloth.film(step * frames, spp, shown)
-            losses = [psdr.losses.l2(image, given[k]) for k, image in zip(shown, images, strict=True)]
-        for loss in losses:
-            loss.grad.fill_(1.0)
-        tape.backward()
-        optimiser.lr = 0.08 * 0.03 ** max(2.0 * step / steps - 1.0, 0.0)
-        optimiser.step([cloth.logarithms.grad])
-        tape.zero()  # the model's arrays have gradients, too
+
+    def told(step: int) -> None:
         if (step + 1) % 5 == 0:
             ratios = np.exp(cloth.logarithms.numpy()) / TRUTH
             print(f"step {step + 1}: found / sought {ratios.round(3)}", flush=True)
+
+    recovery.fit_film(cloth.film, given, cloth.logarithms, steps=steps, spp=spp, rate=0.08, share=LOOKED_AT, told=told)
     found = [image.numpy() for image in cloth.film(FILM_SEED + 2 * frames, 16 * spp)]
     times = np.linspace(0, frames - 1, 6).astype(int)
     films = {"film": given, "start": first, "found": found}

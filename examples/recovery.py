@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import warp as wp
 from PIL import Image
+from warp.optim import Adam
 
 import warp_psdr as psdr
 from warp_psdr import plots
@@ -51,6 +52,46 @@ def write_film(path: Path, films: list[list[np.ndarray]], seconds: float, enlarg
     pictures = [np.uint8(255.0 * plots.tonemap(frame, exposure=exposure) + 0.5) for frame in frames]
     big = [Image.fromarray(picture.repeat(enlarged, 0).repeat(enlarged, 1)) for picture in pictures]
     big[0].save(path, save_all=True, append_images=big[1:], duration=1000.0 * seconds / len(big), loop=0)
+
+
+def fit_film(
+    film: Callable[[int, int, list[int]], list[wp.array]],
+    given: list[np.ndarray],
+    numbers: wp.array,
+    *,
+    steps: int,
+    spp: int,
+    rate: float,
+    share: int,
+    told: Callable[[int], None],
+) -> None:
+    """Fit numbers of a simulation to a film of it, by Adam and a few random frames a step.
+
+    Args:
+        film: (seed, samples a pixel, numbers of frames) -> their images; simulates, on the tape that is active.
+        given: the film.
+        numbers: what is sought, an array with a gradient.
+        steps: their number; in the second half the rate falls to 3 %.
+        spp: samples a pixel.
+        rate: of learning.
+        share: a step looks at so many of all frames, one in ``share``.
+        told: called with the number of each step that has been made.
+    """
+    frames, rng = len(given), np.random.default_rng(0)
+    optimiser = Adam([numbers], betas=(0.8, 0.95))
+    for step in range(steps):
+        shown = sorted(rng.choice(frames, max(frames // share, 1), replace=False).tolist())
+        tape = wp.Tape()
+        with tape:
+            images = film(step * frames, spp, shown)
+            losses = [psdr.losses.l2(image, given[k]) for k, image in zip(shown, images, strict=True)]
+        for loss in losses:
+            loss.grad.fill_(1.0)
+        tape.backward()
+        optimiser.lr = rate * 0.03 ** max(2.0 * step / steps - 1.0, 0.0)
+        optimiser.step([numbers.grad])
+        tape.zero()  # a simulator's own arrays have gradients, too
+        told(step)
 
 
 @wp.kernel

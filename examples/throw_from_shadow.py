@@ -20,7 +20,6 @@ from pathlib import Path
 import numpy as np
 import recovery
 import warp as wp
-from warp.optim import Adam
 
 import warp_psdr as psdr
 from warp_psdr import plots
@@ -110,29 +109,20 @@ def main(
     began = time.perf_counter()
     folder.mkdir(parents=True, exist_ok=True)
     flight = Flight(load(width), frames)
-    optimiser = Adam([flight.velocity], lr=0.1, betas=(0.8, 0.95))
     first = [image.numpy() for image in flight.film(FILM_SEED + frames, 16 * spp)]
     flight.velocity.assign(TRUTH[None])
     given = [image.numpy() for image in flight.film(FILM_SEED, 16 * spp)]
     flight.velocity.assign(START[None])
-    rng, errors = np.random.default_rng(0), []
-    for step in range(steps):
-        shown = sorted(rng.choice(frames, max(frames // LOOKED_AT, 1), replace=False).tolist())
-        tape = wp.Tape()
-        with tape:
-            images = flight.film(step * frames, spp, shown)
-            losses = [psdr.losses.l2(image, given[k]) for k, image in zip(shown, images, strict=True)]
-        for loss in losses:
-            loss.grad.fill_(1.0)
-        tape.backward()
-        optimiser.lr = 0.1 * 0.03 ** max(2.0 * step / steps - 1.0, 0.0)
-        optimiser.step([flight.velocity.grad])
-        tape.zero()
+    errors = []
+
+    def told(step: int) -> None:
         errors.append(float(np.linalg.norm(flight.velocity.numpy()[0] - TRUTH) / np.linalg.norm(TRUTH)))
         if (step + 1) % 5 == 0:
             print(
                 f"step {step + 1}: velocity {flight.velocity.numpy()[0].round(3)}, error {errors[-1]:.2%}", flush=True
             )
+
+    recovery.fit_film(flight.film, given, flight.velocity, steps=steps, spp=spp, rate=0.1, share=LOOKED_AT, told=told)
     found = [image.numpy() for image in flight.film(FILM_SEED + 2 * frames, 16 * spp)]
     times = np.linspace(0, frames - 1, 6).astype(int)
     films = {"film": given, "start": first, "found": found}
