@@ -37,7 +37,7 @@ def from_newton(
     emitters: Iterable[Mapping[str, Any]] = (),
     bsdfs: Mapping[str, Mapping[str, Any]] | None = None,
     resolution: int | None = None,
-    smooth: bool = False,
+    smooth: bool = True,
     **more: Mapping[str, Any],
 ) -> Scene:
     """Return a scene of a ``newton.Model``: shapes, cloths and soft bodies, which ``psdr.bind(params, state)`` moves.
@@ -51,8 +51,7 @@ def from_newton(
         emitters: likewise.
         bsdfs: by name, instead of two-sided ``principled`` of the model's colour.
         resolution: of the film; default: the sensor's.
-        smooth: whether round and soft shapes have interpolated normals. Pictures are smoother then, and derivatives of
-            glossy materials lack the jump where such a normal turns away from the viewer.
+        smooth: whether round and soft shapes have interpolated normals.
         **more: other objects of the scene, by name.
 
     Raises:

@@ -48,8 +48,6 @@ BESIDE_STEP = 1.0
 AHEAD = 2000.0
 #: Share by which it is longer than needed, and by which a face is wider than the rays' distance if they meet it.
 MARGIN = 2.0
-#: ``MARGIN`` of shapes with interpolated normals: of a face seen edge-on, the half next to a silhouette is black.
-SMOOTH_MARGIN = 2.0 * MARGIN
 #: Whose surface a ray meets beside an edge, 0: neither the edge's own shape nor one with an edge along it.
 OWN, NEXT = wp.constant(1), wp.constant(2)
 
@@ -74,7 +72,8 @@ class FilmEdge:
 def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp.float32, wp.bool]:
     """How two rays look past an edge of a mesh: distance from it, length in front of it, whether its face is narrow.
 
-    A narrow one is missed by rays at that distance.
+    A narrow one is missed by rays at that distance. Of interpolated normals a part of the face turns away from the
+    camera, whose terminator counts if it is seen at ``BESIDE`` (``shading_normals/terminator.py``): edges look as far.
     """
     if edges.ends[f.point.edge, 0] == STEP:
         beside = BESIDE_STEP * f.step
@@ -84,8 +83,26 @@ def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp
     # Where scales are mixed, steps are some roundings already.
     least = wp.where(scene.least_step > 0.0, BESIDE, BESIDE_LEAST)
     flat = scene.shapes[scene.triangles[edges.faces[edges.first[f.point.edge]]].shape].smooth == 0
-    apart = wp.clamp(width / wp.where(flat, MARGIN, SMOOTH_MARGIN), least * f.step, BESIDE * f.step)
+    apart = BESIDE * f.step
+    if flat:
+        apart = wp.clamp(width / MARGIN, least * f.step, apart)
     return apart, wp.max(AHEAD * f.step, MARGIN * apart / slant), flat and width < MARGIN * apart
+
+
+@wp.func
+def bends(scene: Scene, edges: Edges, edge: wp.int32) -> wp.bool:
+    """Whether an edge lies inside of the interpolated normals of one shape.
+
+    Beside such an edge the front of one face and the back of the other are seen only if a terminator lies in between,
+    nearer than the rays look. The silhouette close behind it has that jump.
+    """
+    if edges.ends[edge, 0] < 0:
+        return False
+    shape = scene.triangles[edges.faces[edges.first[edge]]].shape
+    found = scene.shapes[shape].smooth == 1
+    for i in range(edges.first[edge], edges.first[edge + 1]):
+        found = found and scene.triangles[edges.faces[i]].shape == shape
+    return found
 
 
 @functools.cache

@@ -205,6 +205,25 @@ def on_planes(scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: w
 
 
 @wp.func
+def is_pierced(scene: Scene, edges: Edges, point: EdgePoint, face: wp.int32, x: wp.vec3, step: wp.float32) -> wp.bool:
+    """Whether an edge lies in the plane of ``face``, met at x beside it (-1: none), and runs through that surface.
+
+    Its two faces lie on either side, so that a curve of intersection runs along the edge and has the jump.
+    """
+    first = edges.first[point.edge]
+    if face < 0 or edges.ends[point.edge, 0] < 0 or edges.first[point.edge + 1] != first + 2:
+        return False
+    met = scene.triangles[face]
+    near = ON_PLANE * step
+    off = wp.max(wp.abs(wp.dot(met.normal, point.p0 - met.p0)), wp.abs(wp.dot(met.normal, point.p1 - met.p0)))
+    if off > near or wp.length(x - point.x) > NEAR * step:
+        return False
+    a = wp.dot(met.normal, to_third(scene.triangles[edges.faces[first]], point))
+    b = wp.dot(met.normal, to_third(scene.triangles[edges.faces[first + 1]], point))
+    return wp.min(a, b) < -near and wp.max(a, b) > near
+
+
+@wp.func
 def barycentrics_at(tri: Triangle, x: wp.vec3) -> wp.vec2:
     """Barycentrics (u, v) of a point in the plane of a triangle."""
     e1 = tri.p1 - tri.p0

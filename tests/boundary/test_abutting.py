@@ -33,6 +33,19 @@ def corner():
     return {"sensor": VIEW, "first": first, "second": second, "light": panel((0.8, -0.6, 2.5), 0.5)}
 
 
+def post():
+    """A post with a pointed foot: the ring between post and foot lies in the floor."""
+    n = 8
+    angle = 2.0 * np.pi * np.arange(n) / n
+    ring = 0.4 * np.stack([np.cos(angle), np.sin(angle), np.zeros(n)], axis=1)
+    vertices = np.concatenate([np.add(ring, [0.0, 0.0, 0.8]), ring, [[0.0, 0.0, 0.8], [0.0, 0.0, -0.6]]])
+    k = np.arange(n)
+    j = (k + 1) % n
+    sides = [[n + k, n + j, j], [n + k, j, k], [k, j, 0 * k + 2 * n], [n + j, n + k, 0 * k + 2 * n + 1]]
+    faces = np.concatenate([np.stack(side, axis=1) for side in sides])
+    return {"sensor": VIEW, "floor": floor(), "shape": mesh(vertices, faces, RED), "sky": sky()}
+
+
 def behind():
     """A wall on a part of the border of a floor, in front of it."""
     first = mesh([[-2, 0, 0], [2, 0, 0], [2, 2, 0], [-2, 2, 0]], FACES, RED)
@@ -75,7 +88,14 @@ def sun():
 
 
 register(
-    {"tiles": tiles, "wall on a border": corner, "wall before a floor": behind, "stairs": stairs, "flush boxes": flush}
+    {
+        "tiles": tiles,
+        "wall on a border": corner,
+        "wall before a floor": behind,
+        "stairs": stairs,
+        "flush boxes": flush,
+        "post": post,
+    }
     | {"shelf": lambda: shelf(panel((0.2, 1.6, 2.8), 0.2)), "shelf in the sun": lambda: shelf(sun())}
 )
 BOTH = ("first.vertex_positions", "second.vertex_positions")
@@ -86,6 +106,8 @@ CASES = [
     Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
     Case("wall before a floor", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("stairs", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide", spp=1024, difference_spp=2048),
+    Case("post", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048, slow=False),
+    Case("post", "shape.vertex_positions", moved(0.0, 1.0, 0.0), 0.01, "slides", 2, 512, 2048),
     Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]

@@ -7,7 +7,7 @@ import warp_psdr as psdr
 from warp_psdr.estimate.boundary import terms
 
 from .measure import MODES, Case, assert_agrees, derivatives, differences, rows, slope
-from .scenes import ball, camera, diffuse, floor, mesh, panel, register
+from .scenes import ball, camera, diffuse, floor, mesh, panel, register, sky
 from .test_table import moved
 
 
@@ -61,7 +61,25 @@ def bent_plate():
     return {k: v for k, v in waves().items() if k != "wall"} | {"sensor": camera((0.0, -1.5, 0.7), (0.0, 0.7, 0.1))}
 
 
-register({"bent plate": bent_plate})
+def rim():
+    """A smooth tube in a wide scene, whose upper facet is seen so edge-on that rays beside its edges just meet it."""
+    n = 48
+    angle = 2.0 * np.pi * (np.arange(n) + 0.5) / n
+    ring = np.stack([np.zeros(n), np.cos(angle), np.sin(angle)], axis=1)
+    vertices = np.concatenate([0.3 * ring + [x, 0.0, 0.0] for x in (-0.5, 0.5)])
+    k = np.arange(n)
+    j = (k + 1) % n
+    faces = np.concatenate([np.stack([k, n + k, n + j], axis=1), np.stack([k, n + j, j], axis=1)])
+    eye = 0.3 * np.cos(np.pi / n) + 0.006
+    return {
+        "sensor": camera((0.0, -3.0, eye), (0.0, 0.0, eye - 0.005), fov=3.0),
+        "shape": mesh(vertices, faces, diffuse(0.8, 0.6, 0.4), normals=np.float32(np.tile(ring, (2, 1)))),
+        "floor": floor(half=200.0),
+        "sky": sky(),
+    }
+
+
+register({"bent plate": bent_plate, "rim": rim})
 
 CASES = [
     # The wall is the vertex that sees the terminator.
@@ -70,6 +88,8 @@ CASES = [
     Case("waves", WALL, NEARER, 0.01, "a wall moves", 4, 1024, 2048),
     Case("glow", SHAPE, moved(0.3, 0.2, 1.0), 0.01, "a ball moves", 3, 1024, 2048),
     # Vertex normals alone: the camera's terminator, and that of others.
+    # The silhouette, the crease beside it and the terminator in between have one jump.
+    Case("rim", SHAPE, moved(0.0, 0.0, 1.0), 0.0005, "a facet seen edge-on", 2, 4096, 2048, slow=False),
     Case("bent plate", NORMALS, tilted, 0.03, "normals turn", spp=1024, difference_spp=4096),
 ]
 

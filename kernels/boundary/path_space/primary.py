@@ -18,6 +18,7 @@ from warp_psdr.kernels.boundary.film_edge import (
     BESIDE,
     NEXT,
     OWN,
+    bends,
     make_film_edge,
     rays_beside,
 )
@@ -26,6 +27,7 @@ from warp_psdr.kernels.boundary.local_form import (
     EdgePoint,
     Edges,
     barycentrics_at,
+    is_pierced,
     on_plane,
     on_planes,
     own_face,
@@ -257,6 +259,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                 if wp.static(len(config.surfaces.primitives) > 0):
                     met = triangle_or_none(scene, met)
                 its = own_face(scene, edges, point.edge, met)
+                if is_pierced(scene, edges, point, met, seen.x, local):
+                    return
                 if narrow:
                     sign = 1.0 - 2.0 * wp.float32(k)
                     own = own or (side * sign >= 0.0 and its)
@@ -274,6 +278,8 @@ def make_primary_kernel(config: PathConfig, role: str, camera_moves: bool):
                     to_b = -room * m
                     looks = 4
         if narrow and not own:
+            return
+        if side == 0.0 and bends(scene, edges, point.edge) and seen_as(scene, a, d) != seen_as(scene, b, d):
             return
         share = wp.float32(1.0)
         jump = b.radiance - a.radiance

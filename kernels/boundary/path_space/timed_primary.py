@@ -13,10 +13,11 @@ from warp_psdr.kernels.boundary.detector import IncidentRadiance
 from warp_psdr.kernels.boundary.film_edge import (
     NEXT,
     OWN,
+    bends,
     make_film_edge,
     rays_beside,
 )
-from warp_psdr.kernels.boundary.local_form import Edges, make_edge_sink, on_planes, own_face
+from warp_psdr.kernels.boundary.local_form import Edges, is_pierced, make_edge_sink, on_planes, own_face
 from warp_psdr.kernels.boundary.timed_light import make_timed_light
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -99,7 +100,10 @@ def make_timed_primary_kernel(
             seen = seen_along(scene, o, d, t_max)
             if k < 2:
                 # A face that is seen nearly edge-on is met far away.
-                its = own_face(scene, edges, point.edge, triangle_or_none(scene, seen.face))
+                met = triangle_or_none(scene, seen.face)
+                its = own_face(scene, edges, point.edge, met)
+                if is_pierced(scene, edges, point, met, seen.x, local):
+                    return
                 if narrow:
                     sign = 1.0 - 2.0 * wp.float32(k)
                     own = own or (f.side * sign >= 0.0 and its)
@@ -118,6 +122,8 @@ def make_timed_primary_kernel(
                     beside = wp.float32(room)
                     looks = 4
         if narrow and not own:
+            return
+        if f.side == 0.0 and bends(scene, edges, point.edge) and seen_as(scene, a, d) != seen_as(scene, b, d):
             return
         scale = 1.0 / (point.pdf * wp.float32(job.samples))
         if edges.sides.shape[0] > 1:
