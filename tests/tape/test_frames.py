@@ -9,7 +9,7 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.gradients import measure
-from warp_psdr.scene.frames import frames_of
+from warp_psdr.scene.frames import bytes_of_frame, frames_of
 
 SIZE, FRAMES, STEP = 12, 3, 0.1
 SHEET, FLOOR = "sheet.vertex_positions", "floor.bsdf.reflectance.value"
@@ -211,6 +211,10 @@ def test_a_frame_keeps_what_has_changed():
     frames = frames_of(tape, scene)
     assert frames.count == FRAMES and frames.first.nbytes > texels.nbytes
     assert frames.take().nbytes < 0.02 * texels.nbytes
+    assert "a frame on a tape" not in str(psdr.plan(scene, params, integrator=INTEGRATOR))
+    params.bind(SHEET, wp.array(PLACES, dtype=wp.vec3, device="cpu"))
+    assert frames.take().nbytes <= bytes_of_frame(scene) < 0.02 * texels.nbytes
+    assert f"bound arrays change {SHEET}" in str(psdr.plan(scene, params, integrator=INTEGRATOR))
     del frames
     tape.reset()
     gc.collect()

@@ -32,6 +32,7 @@ from warp_psdr.plan.record import Plan, Plans
 from warp_psdr.plan.words import CAMERA_NAMES, EMITTER_NAMES, TEXTURE_NAMES
 from warp_psdr.rows import reparametrised
 from warp_psdr.rows.table import row_of
+from warp_psdr.scene import frames
 from warp_psdr.scene.description import Sensor
 from warp_psdr.scene.layout import (
     CAMERA,
@@ -106,13 +107,10 @@ def plan(
 def _told(
     scene: Scene, params: Parameters | None, integrator: Integrator | None, sensor: int, names: list[str] | None
 ) -> Plan:
-    """Return the plan of one sensor, with a line on the shapes in contact."""
+    """Return the plan of one sensor, with lines on shapes in contact and on frames of a tape."""
     decided = decide(scene, params, integrator=integrator, sensor=sensor, names=names)
-    touching = contacts.describe(scene, motion(scene, _named(scene, params, names)).shapes) if decided.boundary else ""
-    if not touching:
-        return decided
-    reason = f"{touching} touch; moving them apart or into each other has one-sided derivatives only"
-    return replace(decided, lines=(*decided.lines, ("contacts", "derivatives along them", reason)))
+    moving = motion(scene, _named(scene, params, names)).shapes if decided.boundary else frozenset()
+    return replace(decided, lines=(*decided.lines, *contacts.describe(scene, moving), *frames.describe(scene)))
 
 
 def decide(

@@ -108,9 +108,9 @@ def _of_surfaces(scene: Scene, config: PathConfig, names: list[str]) -> str:
     """Say which surfaces have discontinuities beside the edges of their triangles; empty: none."""
     if len(scene_curves(scene).length):
         return f"shapes run through each other along a curve that is no edge; move them apart, or {INSTEAD}"
-    touching = contacts.describe(scene, motion(scene, names).shapes)
-    if touching:
-        return f"{touching} touch, and rays next to the contact would be arbitrarily fast; leave a gap, or {INSTEAD}"
+    found = contacts.touching(scene, motion(scene, names).shapes)
+    if found:
+        return f"{found} touch, and rays next to the contact would be arbitrarily fast; leave a gap, or {INSTEAD}"
     return ""
 
 

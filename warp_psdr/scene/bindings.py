@@ -34,6 +34,11 @@ class Bindings:
         """Return what stands for a parameter; None: the scene's own array."""
         return self._arrays.get(name)
 
+    @property
+    def names(self) -> list[str]:
+        """The parameters for which arrays stand."""
+        return list(self._arrays)
+
     def set(self, name: str, array: wp.array | None) -> None:
         """Let an array stand for a parameter; None: its own one, with the values that were followed last.
 

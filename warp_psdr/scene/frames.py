@@ -12,6 +12,7 @@ import numpy as np
 import warp as wp
 
 from warp_psdr.scene.edits import State
+from warp_psdr.scene.layout import POSITIONS, SHAPE_POSE
 from warp_psdr.scene.poses import Local
 
 if TYPE_CHECKING:
@@ -82,6 +83,31 @@ class Frames:
         differ = np.flatnonzero(np.logical_or.reduceat(bits != first, starts)) if held.size else []
         blocks = {int(i): held[i * BLOCK : (i + 1) * BLOCK].copy() for i in differ}
         return Frame(self, blocks, self.scene.poses.state())
+
+
+def bytes_of_frame(scene: Scene) -> int:
+    """Return the most bytes that each further frame on a tape takes, of what bound arrays change."""
+    stretches = []
+    for name in scene.bindings.names:
+        p = scene.parameters[name]
+        stretches.append((p.offset, p.size))
+        if p.uses & {POSITIONS, SHAPE_POSE}:
+            for shape in (scene.builder.shapes[number] for number in p.owners):
+                size, places = 3 * shape.vertex_count, scene.positions + 3 * shape.first_vertex
+                stretches.append((places, size))
+                if shape.smooth:
+                    stretches.append((shape.normal_offset + 3 * shape.first_vertex, size))
+    blocks = {b for first, size in stretches for b in range(first // BLOCK, (first + size - 1) // BLOCK + 1)}
+    return len(blocks) * BLOCK * scene.values.numpy().itemsize
+
+
+def describe(scene: Scene) -> list[tuple[str, str, str]]:
+    """Return the plan's line on the memory of frames; none where no array is bound."""
+    names = scene.bindings.names
+    if not names:
+        return []
+    shown = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return [("a frame on a tape", f"{bytes_of_frame(scene) / 1e6:.3g} MB", f"bound arrays change {shown}")]
 
 
 #: By the numbers of a tape and of a scene; what a tape records keeps them.

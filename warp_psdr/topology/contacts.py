@@ -77,11 +77,18 @@ def _gap(scene: Scene) -> float:
     return float(scene.steps.behind.min(initial=np.inf))
 
 
-def describe(scene: Scene, shapes: frozenset[int]) -> str:
+def touching(scene: Scene, shapes: frozenset[int]) -> str:
     """Name the shapes that touch one that moves; empty: there are none."""
     found = np.concatenate([contacts(scene).shapes, np.array(joined_rims(scene).pairs, np.int64).reshape(-1, 2)])
     found = np.unique(np.sort(found[np.isin(found, sorted(shapes)).any(axis=1)], axis=1), axis=0)
     return _names(scene, found) if len(found) else ""
+
+
+def describe(scene: Scene, shapes: frozenset[int]) -> list[tuple[str, str, str]]:
+    """Return the plan's line on the shapes that touch one that moves; none where nothing does."""
+    names = touching(scene, shapes)
+    reason = f"{names} touch; moving them apart or into each other has one-sided derivatives only"
+    return [("contacts", "derivatives along them", reason)] if names else []
 
 
 def warn(scene: Scene, tangents: np.ndarray) -> None:
