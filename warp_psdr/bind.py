@@ -25,18 +25,33 @@ Names = str | tuple[str, ...]
 
 
 @dataclass(frozen=True)
+class Points:
+    """The particles that vertices go with.
+
+    Attributes:
+        numbers: (N,) int32, of each vertex's particle.
+        least: the number of particles that there have to be.
+        offsets: (N,) vec3, from there to the vertex; None: they are one.
+    """
+
+    numbers: wp.array
+    least: int
+    offsets: wp.array | None = None
+
+
+@dataclass(frozen=True)
 class Simulation:
     """What a simulator's state moves in a scene: arguments of ``bind``, and particles by the names of vertices.
 
     Attributes:
         bodies: name of a ``to_world`` -> number of its body.
         local: name of a ``to_world`` -> (4, 4), see ``bind``.
-        particles: name of ``vertex_positions`` -> numbers of its particles.
+        particles: name of ``vertex_positions`` -> the particles that they go with.
     """
 
     bodies: Mapping[str, int]
     local: Mapping[str, Any]
-    particles: Mapping[str, np.ndarray]
+    particles: Mapping[str, Points]
 
 
 _simulations: weakref.WeakKeyDictionary[Scene, Simulation] = weakref.WeakKeyDictionary()
@@ -115,17 +130,18 @@ def _bind_state(params: Parameters, state: Any) -> None:
     if simulation.bodies:
         names = tuple(simulation.bodies)
         _bind_bodies(params, names, state.body_q, simulation.bodies, simulation.local)
-    for name, numbers in simulation.particles.items():
+    for name, found in simulation.particles.items():
         points = state.particle_q
-        if numbers.max() >= points.size:
-            raise ValueError(
-                f"bind {name!r}: the state has {points.size} particles, expected {numbers.max() + 1} or more"
-            )
-        if numbers.size < points.size:
-            gathered = wp.zeros(numbers.size, dtype=wp.vec3, device=scene.device, requires_grad=points.requires_grad)
+        if found.least > points.size:
+            raise ValueError(f"bind {name!r}: the state has {points.size} particles, expected {found.least} or more")
+        n, offsets = found.numbers.size, found.offsets
+        if offsets is not None or n < points.size:
+            if offsets is None:
+                offsets = wp.zeros(n, dtype=wp.vec3, device=scene.device)
+            gathered = wp.zeros(n, dtype=wp.vec3, device=scene.device, requires_grad=points.requires_grad)
             compiler.ensure([gather_points], scene.device)
-            inputs = [points, wp.array(numbers.astype(np.int32), device=scene.device)]
-            wp.launch(gather_points, dim=numbers.size, inputs=inputs, outputs=[gathered], device=scene.device)
+            inputs = [points, found.numbers, offsets]
+            wp.launch(gather_points, dim=n, inputs=inputs, outputs=[gathered], device=scene.device)
             points = gathered
         params.bind(name, points)
 

@@ -28,9 +28,10 @@ def gather_points(
     # In:
     points: wp.array(dtype=wp.vec3),
     numbers: wp.array(dtype=wp.int32),
+    offsets: wp.array(dtype=wp.vec3),
     # Out:
     gathered: wp.array(dtype=wp.vec3),
 ):
-    """Some of the points, by their numbers."""
+    """Some of the points, by their numbers, plus an offset each."""
     i = wp.tid()
-    gathered[i] = points[numbers[i]]
+    gathered[i] = points[numbers[i]] + offsets[i]

@@ -8,11 +8,14 @@ import warp as wp
 
 import warp_psdr as psdr
 from tests.gradients import measure
-from tests.tape.test_frames import SIZE, node, weights
+from tests.tape.test_frames import INTEGRATOR, SIZE, node, weights
 
 newton = pytest.importorskip("newton")
 
 STEPS, DT = 60, 1.0 / 600.0
+BALLS = "particles.vertex_positions"
+#: A card that faces z.
+CORNERS, SIDES = np.float32([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.int32([0, 1, 2, 0, 2, 3])
 AT = wp.transform(wp.vec3(0.8, 0.6, 0.0), wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, 1.0), 0.5))
 
 
@@ -101,10 +104,50 @@ def test_what_is_wrong_or_left_out_is_told(model):
     with pytest.raises(TypeError, match=r"a newton\.State is for a scene of"):
         psdr.bind(psdr.traverse(psdr.load_dict(node())), model.state())
     builder = newton.ModelBuilder()
-    builder.add_particle(pos=wp.vec3(0.0, 0.0, 0.0), vel=wp.vec3(0.0, 0.0, 0.0), mass=1.0)
-    builder.add_ground_plane()
-    with pytest.warns(psdr.SceneWarning, match="1 particles that belong to no surface"):
+    far = newton.Mesh(CORNERS, SIDES, uvs=CORNERS[:, :2], texture="https://example.org/wood.png")
+    builder.add_shape_mesh(-1, mesh=far, label="crate")
+    with pytest.warns(psdr.SceneWarning, match=r"the texture of crate \(https://example"):
         scene_of(builder.finalize(device="cpu"))
+
+
+def test_a_mesh_keeps_its_material():
+    builder = newton.ModelBuilder()
+    texels = np.zeros((2, 2, 4), np.uint8)
+    texels[0, :, 0] = 255  # the upper half is red
+    look = {"uvs": CORNERS[:, :2], "texture": texels, "roughness": 0.3, "metallic": 0.7}
+    builder.add_shape_mesh(-1, mesh=newton.Mesh(CORNERS, SIDES, **look), label="card")
+    params = psdr.traverse(scene_of(builder.finalize(device="cpu")))
+    for key, value in (("roughness", 0.3), ("metallic", 0.7)):
+        np.testing.assert_allclose(params[f"card.bsdf.brdf_0.{key}.value"].numpy(), value, rtol=1e-6)
+    held = params["card.bsdf.brdf_0.base_color.data"].numpy().reshape(2, 2, 3)
+    np.testing.assert_allclose(held[0, 0], [1.0, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(held[1, 0], 0.0, atol=1e-6)
+
+
+def test_free_particles_are_balls_that_move_with_them():
+    builder = newton.ModelBuilder()
+    for x in (-0.5, 0.5):
+        builder.add_particle(pos=wp.vec3(x, 1.0, 0.0), vel=wp.vec3(0.0, 0.0, 0.0), mass=1.0, radius=0.2)
+    builder.add_ground_plane()
+    model = builder.finalize(requires_grad=True, device="cpu")
+    scene = scene_of(model)
+    params = psdr.traverse(scene)
+    state = model.state(requires_grad=True)
+    state.particle_q.assign(np.float32([[-0.5, 1.0, 0.0], [0.5, 1.5, 0.0]]))
+    tape = wp.Tape()
+    with tape:
+        psdr.bind(params, state)
+        image = psdr.render(scene, params, integrator=INTEGRATOR, spp=64)
+    places = params[BALLS].numpy().reshape(2, -1, 3)
+    np.testing.assert_allclose(places.mean(axis=1), state.particle_q.numpy(), atol=1e-5)
+    np.testing.assert_allclose(np.linalg.norm(places - state.particle_q.numpy()[:, None], axis=2), 0.2, rtol=1e-5)
+    tape.backward(grads={image: wp.array(weights(0), dtype=wp.vec3, device="cpu")})
+    params.bind(BALLS, None)
+    params.requires_grad_only(BALLS)
+    psdr.render_backward(scene, params, weights(0), integrator=INTEGRATOR, spp=64)
+    vertices = params[BALLS].grad.numpy().reshape(2, -1, 3).sum(axis=1)
+    assert np.abs(vertices).max(axis=1).min() > 0.1
+    np.testing.assert_allclose(state.particle_q.grad.numpy(), vertices, rtol=1e-3)
 
 
 @pytest.mark.slow
