@@ -57,8 +57,8 @@ HOST_LAYERS = (
     | {"sdf", "view"},
     {"render"},
     {"aov", "torch", "__init__"},
-    {"distributed", "fit"},
-    {"cli", "cli_output"},
+    {"distributed", "fit", "observe"},
+    {"cli", "cli_output", "unknowns"},
 )
 #: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.
 GROUND_FLOOR = {"autodiff", "constants", "math", "rng", "sampling", "sink", "structs"}

@@ -9,7 +9,20 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
-    from warp_psdr import boundary, distributed, fit, guiding, image_io, interior, losses, optim, plots, scenes, sdf
+    from warp_psdr import (
+        boundary,
+        distributed,
+        fit,
+        guiding,
+        image_io,
+        interior,
+        losses,
+        optim,
+        plots,
+        scenes,
+        sdf,
+        unknowns,
+    )
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
@@ -24,6 +37,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.invalid import invalid_samples
     from warp_psdr.moment import render_moment
     from warp_psdr.newton import from_newton
+    from warp_psdr.observe.photograph import Photograph
+    from warp_psdr.observe.solve import solve
     from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
     from warp_psdr.options.methods import methods
     from warp_psdr.parts import render_parts
@@ -51,6 +66,7 @@ __all__ = [
     "Image",
     "Parameters",
     "PathIntegrator",
+    "Photograph",
     "Plan",
     "Scene",
     "SceneWarning",
@@ -92,8 +108,10 @@ __all__ = [
     "set_ray_backend",
     "set_vector_width",
     "set_workers",
+    "solve",
     "trace_sample",
     "traverse",
+    "unknowns",
     "view",
     "write_image",
 ]
@@ -109,6 +127,7 @@ _PUBLIC = {
     "Image": "image",
     "Parameters": "scene.parameters",
     "PathIntegrator": "options.integrator",
+    "Photograph": "observe.photograph",
     "Plan": "plan.plan",
     "Scene": "scene.scene",
     "SceneWarning": "scene.load",
@@ -138,6 +157,7 @@ _PUBLIC = {
     "rollout": "rollout",
     "set_ray_backend": "scene.acceleration",
     "set_vector_width": "scene.acceleration",
+    "solve": "observe.solve",
     "set_workers": "workers",
     "trace_sample": "estimate.trace",
     "traverse": "scene.parameters",
@@ -157,6 +177,7 @@ _MODULES = (
     "scenes",
     "sdf",
     "torch",
+    "unknowns",
 )
 
 

@@ -1,0 +1,1 @@
+"""Measurements of real scenes: photographs, and scenes fitted to them with error bars."""

@@ -1,0 +1,247 @@
+"""Rendered images beside photographs: residuals, their derivatives by all unknown numbers, and normal equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_psdr.observe.photograph import Photograph
+from warp_psdr.observe.solution import described
+from warp_psdr.observe.unknowns import Entries, Unknowns
+from warp_psdr.render import render, render_forward
+
+if TYPE_CHECKING:
+    from warp_psdr.plan.integrator import Integrator
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+#: Samples of an image over those of each of its derivatives, of which there are many.
+IMAGE_SHARE = 4
+#: Most unknown numbers: the derivative image of each is rendered, and kept.
+MOST = 512
+#: Eigenvalue of the normal equations, scaled to a diagonal of ones, below which nothing is told.
+SINGULAR = 1.0e-6
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of two independent looks at a photograph.
+
+    Attributes:
+        image: (H, W, 3), rendered.
+        residual: (H, W, 3), weighted.
+        numbers: (k,) which unknowns move it.
+        columns: (k, H, W, 3) derivatives of the residual by these.
+    """
+
+    image: np.ndarray
+    residual: np.ndarray
+    numbers: np.ndarray
+    columns: np.ndarray
+
+
+class Problem:
+    """Photographs of a scene, and what is unknown.
+
+    Args:
+        scene: the scene.
+        params: its parameters.
+        observations: as of ``solve``.
+        unknowns: likewise.
+        integrator: likewise.
+
+    Attributes:
+        labels: names of all numbers, those of the scene first.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        params: Parameters,
+        observations: Any,
+        unknowns: Sequence[Unknowns] | None,
+        integrator: Integrator | None,
+    ):
+        self.scene, self.params, self._integrator = scene, params, integrator
+        self.views = _views(scene, observations)
+        given = unknowns if unknowns is not None else [Entries(name) for name in params.requested]
+        self.unknowns: list[Unknowns] = list(given)
+        self.labels: list[str] = []
+        self._sizes = [len(u.values(params)) for u in self.unknowns]
+        for u in self.unknowns:
+            self.labels += u.labels
+        self.of_scene = len(self.labels)
+        self._firsts: dict[int, int] = {}
+        for _sensor, photograph in self.views:
+            if id(photograph) not in self._firsts:
+                self._firsts[id(photograph)] = len(self.labels)
+                more = photograph.labels
+                self.labels += [f"{photograph.name} {label}" for label in more] if len(self.views) > 1 else more
+        if not self.labels:
+            raise ValueError("solve: nothing is unknown; call params.requires_grad(...), or give unknowns=[...]")
+        if len(self.labels) > MOST:
+            raise ValueError(
+                f"solve: {len(self.labels)} unknown numbers, and it takes up to {MOST}: each costs a derivative image; "
+                "find textures and fine meshes by psdr.optim, or the optimisers of Warp"
+            )
+
+    @property
+    def size(self) -> int:
+        """Number of unknown numbers."""
+        return len(self.labels)
+
+    def values(self) -> np.ndarray:
+        """Return all numbers."""
+        parts = [u.values(self.params) for u in self.unknowns]
+        return np.concatenate([*parts, *(p.unknown_values for p in self._photographs())])
+
+    def _photographs(self) -> list[Photograph]:
+        return list({id(photograph): photograph for _sensor, photograph in self.views}.values())
+
+    def look(self) -> None:
+        """Ask masks that are functions again."""
+        for photograph in self._photographs():
+            photograph.look()
+
+    def state(self) -> Any:
+        """Return what ``restore`` goes back to."""
+        held = [{k: v.copy() for k, v in p.values.items()} for p in self._photographs()]
+        return [u.state(self.params) for u in self.unknowns], held
+
+    def restore(self, state: Any) -> None:
+        """Go back to a state."""
+        for u, held in zip(self.unknowns, state[0], strict=True):
+            u.restore(self.params, held)
+        for p, values in zip(self._photographs(), state[1], strict=True):
+            p.values = {k: v.copy() for k, v in values.items()}
+            p.move(np.zeros(p.unknown_values.size))
+        self.params.update()
+
+    def move(self, step: np.ndarray) -> None:
+        """Add a step to all numbers."""
+        first = 0
+        for u, size in zip(self.unknowns, self._sizes, strict=True):
+            u.move(self.params, step[first : first + size])
+            first += size
+        for p in self._photographs():
+            n = p.unknown_values.size
+            p.move(step[first : first + n])
+            first += n
+        self.params.update()
+
+    def images(self, seed: int, spp: int) -> list[np.ndarray]:
+        """Render all views."""
+        options: dict[str, Any] = {"integrator": self._integrator, "spp": IMAGE_SHARE * spp, "seed": seed}
+        return [render(self.scene, sensor=s, **options).numpy().astype(float) for s, _photograph in self.views]
+
+    def residuals(self, seed: int, spp: int) -> list[np.ndarray]:
+        """Return the residuals of all views."""
+        return [p.residual(i) for (_s, p), i in zip(self.views, self.images(seed, spp), strict=True)]
+
+    def sides(self, seed: int, spp: int) -> list[Side]:
+        """Return residuals and derivatives of all views."""
+        tangents = [row for u in self.unknowns for row in u.tangents(self.params)]
+        options: dict[str, Any] = {"integrator": self._integrator, "spp": spp, "seed": seed}
+        found = []
+        for (sensor, photograph), image in zip(self.views, self.images(seed, spp), strict=True):
+            numbers, columns = [], []
+            scale = photograph.weights * photograph.gain()
+            for i, row in enumerate(tangents):
+                row = self._seen(row, sensor)
+                if row:
+                    moved = render_forward(self.scene, self.params, row, sensor=sensor, **options).numpy()
+                    numbers.append(i)
+                    columns.append((scale * moved).astype(np.float32))
+            first, own = self._firsts[id(photograph)], photograph.derivatives(image)
+            numbers += range(first, first + len(own))
+            columns += list(own.astype(np.float32))
+            stacked = np.stack(columns) if columns else np.zeros((0, *image.shape), np.float32)
+            found.append(Side(image, photograph.residual(image), np.array(numbers, int), stacked))
+        return found
+
+    def _seen(self, tangents: Mapping[str, np.ndarray], sensor: int) -> dict[str, np.ndarray]:
+        """Return the tangents that are not of another sensor."""
+        others = tuple(f"{s.path}." for i, s in enumerate(self.scene.description.sensors) if i != sensor)
+        return {name: row for name, row in tangents.items() if not name.startswith(others)}
+
+
+def _views(scene: Scene, observations: Any) -> list[tuple[int, Photograph]]:
+    """Return (sensor, photograph) of all observations."""
+    given = dict(observations) if isinstance(observations, Mapping) else {0: observations}
+    found = []
+    for sensor, observation in given.items():
+        number = scene.description.views(sensor).sensors[0]
+        photograph = observation if isinstance(observation, Photograph) else Photograph(observation, response=None)
+        film = scene.description.sensors[number].film
+        size = (film.crop_height, film.crop_width)
+        if photograph.shape != size:
+            raise ValueError(
+                f"{photograph.name} has {photograph.shape[1]} x {photograph.shape[0]} pixels after reduce, the film of "
+                f"sensor {sensor!r} {size[1]} x {size[0]}; give the film that size, or reduce the photograph"
+            )
+        found.append((number, photograph))
+    return found
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Normal equations of two looks; products are of independent ones, so without bias.
+
+    Attributes:
+        h: (n, n) J_1^T W J_2, symmetrised.
+        noise: (n, n) the same of half of the difference of J_1 and J_2: what sampling noise adds to the square of their
+            mean.
+        g_a: (n,) J_2^T W r_1.
+        g_b: (n,) J_1^T W r_2.
+    """
+
+    h: np.ndarray
+    noise: np.ndarray
+    g_a: np.ndarray
+    g_b: np.ndarray
+
+    @property
+    def g(self) -> np.ndarray:
+        """Half of the gradient of the sum of squares."""
+        return 0.5 * (self.g_a + self.g_b)
+
+    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return (scale, sizes, axes, told) of H with a diagonal of ones; told: which axes stand out of the noise."""
+        scale = np.sqrt(np.maximum(np.diag(self.h), 0.0))
+        scale = np.where(scale > 0.0, scale, 1.0)
+        sizes, axes = np.linalg.eigh(self.h / np.outer(scale, scale))
+        of_noise = np.einsum("ia,ij,ja->a", axes, self.noise / np.outer(scale, scale), axes)
+        return scale, sizes, axes, sizes > np.maximum(of_noise, SINGULAR)
+
+    def step(self, g: np.ndarray, damping: float) -> np.ndarray:
+        """Return -(H + damping diag H)^-1 g, 0 along what the pictures do not tell."""
+        scale, sizes, axes, told = self.axes()
+        along = axes.T @ (g / scale)
+        return -(axes[:, told] @ (along[told] / (sizes[told] + damping))) / scale
+
+    def inverse(self, labels: list[str]) -> tuple[np.ndarray, list[tuple[str, np.ndarray]]]:
+        """Return H^-1 of what the pictures tell, and names and vectors of the directions that they do not."""
+        scale, sizes, axes, told = self.axes()
+        found = (axes[:, told] / sizes[told]) @ axes[:, told].T / np.outer(scale, scale)
+        return found, [(described(axes[:, i], labels), axes[:, i]) for i in np.flatnonzero(~told)]
+
+
+def normal_equations(a: list[Side], b: list[Side], robust: list[np.ndarray], size: int) -> Normal:
+    """Return the normal equations of two looks at all photographs."""
+    h, noise, g_a, g_b = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    for one, other, w in zip(a, b, robust, strict=True):
+        n = one.numbers
+        if not len(n):
+            continue
+        ja, jb = (s.columns.reshape(len(n), -1) for s in (one, other))
+        weights = np.broadcast_to(w, one.residual.shape).ravel().astype(np.float32)
+        product = (ja * weights) @ jb.T
+        apart = 0.5 * (ja - jb)
+        h[np.ix_(n, n)] += 0.5 * (product + product.T)
+        noise[np.ix_(n, n)] += (apart * weights) @ apart.T
+        g_a[n] += jb @ (weights * one.residual.ravel())
+        g_b[n] += ja @ (weights * other.residual.ravel())
+    return Normal(h, noise, g_a, g_b)

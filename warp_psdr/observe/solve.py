@@ -1,0 +1,174 @@
+"""Levenberg-Marquardt on rendered images: least squares without learning rates.
+
+Every step looks twice, with independent random numbers, at images I and their derivatives J. Products of the two looks
+have no bias: H = J_1^T W J_2, g = J_1^T W r_2, symmetrised. Their difference tells how noisy the step is. W are Huber's
+weights. A step is taken if it lessens r_1^T W r_2, both sides of it seen with the same random numbers.
+
+Derivation: ``docs/theory/photographs.md``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from warp_psdr.observe import errors
+from warp_psdr.observe.problem import Problem, Side, normal_equations
+from warp_psdr.observe.solution import Solution, Step
+
+if TYPE_CHECKING:
+    from warp_psdr.observe.unknowns import Unknowns
+    from warp_psdr.plan.integrator import Integrator
+    from warp_psdr.scene.parameters import Parameters
+    from warp_psdr.scene.scene import Scene
+
+__all__ = ["solve"]
+
+#: Damping: at first, over the diagonal of H; its change after a bad and after a good step; its bounds.
+START, UP, DOWN, LEAST, MOST = 1.0e-3, 8.0, 0.2, 1.0e-7, 1.0e6
+#: Gain ratios: below the first a step is not taken, above the second damping falls.
+TAKEN, GOOD = 0.02, 0.5
+#: Median of the absolute values of a normal distribution of standard deviation one, inverse.
+NORMAL_MEDIAN = 1.4826
+#: Least scale of Huber's weights over the residuals' root mean square, until they settle once: far off, most residuals
+#: are small, and the large ones lead the way.
+OF_RMS = 0.5
+#: Sampling variance of a number, over that of what the photographs have and the scene lacks, that is small enough.
+ENOUGH = 0.25
+#: Change of the loss from which on it counts as settled, if damping is low.
+SETTLED = 1.0e-3
+#: By how much samples grow where noise decides the step, and at most in all.
+FINER, FINEST = 2, 8
+
+
+def solve(
+    scene: Scene,
+    params: Parameters,
+    observations: Any,
+    *,
+    unknowns: Sequence[Unknowns] | None = None,
+    integrator: Integrator | None = None,
+    spp: int = 16,
+    steps: int = 20,
+    huber: float | None = 1.5,
+    seed: int = 0,
+    progress: Callable[[Step], None] | None = None,
+) -> Solution:
+    """Find values of parameters with which the scene looks as photographs do, and their error bars.
+
+    It needs a start from which the pictures overlap, and no learning rate. Up to 512 unknown numbers.
+
+    Args:
+        scene: a loaded scene, which holds the start; at the end it holds the values found.
+        params: its parameters.
+        observations: a ``psdr.Photograph``, or a linear image (H, W, 3), of sensor 0; or sensor -> such, for several.
+        unknowns: ``psdr.unknowns.Rigid``, ``Function`` or ``Entries``. Default: all entries of what
+            ``params.requires_grad`` named.
+        integrator: as of ``render``.
+        spp: samples a pixel of each of two derivative images per unknown and step, and a quarter of an image's. Grows
+            up to eightfold where noise decides.
+        steps: most steps.
+        huber: residuals larger than so many standard deviations (robust estimate) count linearly; None: none do.
+        seed: equal seeds give equal results.
+        progress: called after each step, for example ``print``.
+
+    Returns:
+        Values, standard deviations, covariance, its directions, and how the steps went.
+
+    Raises:
+        ValueError: nothing is unknown, or more than 512 numbers; a photograph has another size; no unknown changes any
+            picture.
+
+    Warns:
+        RuntimeWarning: the pictures do not tell some combination of the unknowns, which is named; the steps ran out;
+            the residual says that the scene does not look like the photographs.
+    """
+    problem = Problem(scene, params, observations, unknowns, integrator)
+    damping, finer, far, taken = START, 1, huber is not None, []
+    reason = f"{steps} steps were not enough"
+    fresh = _Seeds(seed)
+    for number in range(steps):
+        a, b, pair, robust = _looks(problem, fresh, spp * finer, huber, far)
+        equations = normal_equations(a, b, robust, problem.size)
+        h, g = equations.h, equations.g
+        if not np.any(np.diag(h) > 0.0):
+            raise ValueError("solve: no unknown changes any picture; is what they move seen by the sensors?")
+        before, loss, state = _loss(a, b, robust), np.inf, problem.state()
+        while True:
+            step, noise = (equations.step(x, damping) for x in (g, 0.5 * (equations.g_a - equations.g_b)))
+            problem.move(step)
+            first, second = (problem.residuals(s, spp * finer) for s in pair)
+            loss = sum(float((w * x * y).sum()) for w, x, y in zip(robust, first, second, strict=True))
+            promised = -2.0 * float(g @ step) - float(step @ h @ step)
+            gain = (before - loss) / promised if promised > 0.0 else -1.0
+            if gain >= TAKEN:
+                break
+            problem.restore(state)
+            damping *= UP
+            if damping > MOST or _within(h, step, noise):
+                break
+        taken.append(Step(number, spp * finer, before, loss, gain, damping, problem.values()))
+        if progress is not None:
+            progress(taken[-1])
+        if gain >= GOOD:
+            damping = max(DOWN * damping, LEAST)
+        below, stuck = _within(h, step, noise), gain < TAKEN
+        if below or stuck or (before - loss < SETTLED * before and damping <= START):
+            if far:
+                far = False
+                continue
+            if finer >= FINEST or errors.estimated(problem, a, b, robust).noisiest <= ENOUGH:
+                reason = "no step lessens the residual" if stuck and not below else "the step is below its own error"
+                reason = reason if below or stuck else "the residual is settled"
+                break
+            finer *= FINER
+            damping = min(damping, START)
+    a, b, _pair, robust = _looks(problem, fresh, spp * finer, huber)
+    return errors.solution(problem, a, b, robust, taken, reason)
+
+
+class _Seeds:
+    """Random numbers that no step shares with another."""
+
+    def __init__(self, seed: int):
+        self._next = 2 * seed * (1 << 16)
+
+    def pair(self) -> tuple[int, int]:
+        """Return two seeds."""
+        self._next += 2
+        return self._next, self._next + 1
+
+
+def _looks(
+    problem: Problem, fresh: _Seeds, spp: int, huber: float | None, far: bool = False
+) -> tuple[list[Side], list[Side], tuple[int, int], list[np.ndarray]]:
+    """Return two independent looks, their seeds, and Huber's weights of all residuals, (H, W, 1) each."""
+    pair = fresh.pair()
+    problem.look()
+    a, b = (problem.sides(s, spp) for s in pair)
+    robust = []
+    for (_sensor, photograph), one, other in zip(problem.views, a, b, strict=True):
+        mean = 0.5 * (one.residual + other.residual)
+        size = np.abs(mean).max(axis=2, keepdims=True)
+        counts = photograph.weights.max(axis=2, keepdims=True) > 0.0
+        scale = NORMAL_MEDIAN * float(np.median(size[counts]))
+        if far:
+            scale = max(scale, OF_RMS * float(np.sqrt((size[counts] ** 2).mean())))
+        weight = np.ones_like(size)
+        if huber is not None and scale > 0.0:
+            weight = np.minimum(1.0, huber * scale / np.maximum(size, 1e-30))
+        robust.append(np.where(counts, weight, 0.0))
+    return a, b, pair, robust
+
+
+def _loss(a: list[Side], b: list[Side], robust: list[np.ndarray]) -> float:
+    """Return r_1^T W r_2."""
+    return sum(float((w * x.residual * y.residual).sum()) for w, x, y in zip(robust, a, b, strict=True))
+
+
+def _within(h: np.ndarray, step: np.ndarray, noise: np.ndarray) -> bool:
+    """Return whether a step is no longer than its own error."""
+    scale = np.diag(h).clip(min=0.0)
+    return float((scale * step**2).sum()) <= 2.0 * float((scale * noise**2).sum())
