@@ -70,6 +70,7 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         "hide_emitters": config.lights.hide_emitters,
         "hidden_lights": config.rays.hidden,
         "material_first": config.material_first,
+        "distortion": config.camera in c.DISTORTED_CAMERAS,
         **{name: CAMERA_NAMES[config.camera] == name for name in CAMERA_NAMES.values() if name in WORDS},
     }
     return {word: told.get(word, WORDS[word]) for word, holds in there.items() if holds}

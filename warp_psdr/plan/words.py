@@ -19,6 +19,10 @@ CAMERA_NAMES = {
     c.CAMERA_PERSPECTIVE: "perspective",
     c.CAMERA_ORTHOGRAPHIC: "orthographic",
     c.CAMERA_THINLENS: "thinlens",
+    c.CAMERA_PERSPECTIVE_OPENCV: "perspective",
+    c.CAMERA_THINLENS_OPENCV: "thinlens",
+    c.CAMERA_PERSPECTIVE_FISHEYE: "perspective",
+    c.CAMERA_THINLENS_FISHEYE: "thinlens",
     c.CAMERA_RADIANCEMETER: "radiancemeter",
     c.CAMERA_IRRADIANCEMETER: "irradiancemeter",
 }
