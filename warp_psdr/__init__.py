@@ -9,7 +9,20 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
-    from warp_psdr import boundary, distributed, fit, guiding, image_io, interior, losses, optim, plots, scenes, sdf
+    from warp_psdr import (
+        boundary,
+        cameras,
+        distributed,
+        fit,
+        guiding,
+        image_io,
+        interior,
+        losses,
+        optim,
+        plots,
+        scenes,
+        sdf,
+    )
     from warp_psdr import torch as torch
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
@@ -59,6 +72,7 @@ __all__ = [
     "accuracy",
     "bind",
     "boundary",
+    "cameras",
     "compile",
     "cornell_box",
     "coverage",
@@ -146,6 +160,7 @@ _PUBLIC = {
 }
 _MODULES = (
     "boundary",
+    "cameras",
     "distributed",
     "fit",
     "guiding",
