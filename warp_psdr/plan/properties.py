@@ -30,10 +30,8 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
         return
     require_steady(scene, sensor, "psdr.AovIntegrator")
     if config.camera in METERS:
-        raise ValueError(
-            f"AovIntegrator: got a {CAMERA_NAMES[config.camera]!r}, expected a 'perspective', 'thinlens' or "
-            "'orthographic' sensor"
-        )
+        expected = "a 'perspective', 'thinlens' or 'orthographic' sensor"
+        raise ValueError(f"AovIntegrator: got a {CAMERA_NAMES[config.camera]!r}, expected {expected}")
     if config.shown == "position" and scene.origin.any():
         raise ValueError(
             "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no "

@@ -16,13 +16,9 @@ EMITTER_NAMES = {
     c.EMITTER_DIRECTIONAL: "directional",
 }
 CAMERA_NAMES = {
-    c.CAMERA_PERSPECTIVE: "perspective",
+    **dict.fromkeys((c.CAMERA_PERSPECTIVE, *sorted(c.DISTORTED_CAMERAS - c.THIN_LENSES)), "perspective"),
     c.CAMERA_ORTHOGRAPHIC: "orthographic",
-    c.CAMERA_THINLENS: "thinlens",
-    c.CAMERA_PERSPECTIVE_OPENCV: "perspective",
-    c.CAMERA_THINLENS_OPENCV: "thinlens",
-    c.CAMERA_PERSPECTIVE_FISHEYE: "perspective",
-    c.CAMERA_THINLENS_FISHEYE: "thinlens",
+    **dict.fromkeys(sorted(c.THIN_LENSES), "thinlens"),
     c.CAMERA_RADIANCEMETER: "radiancemeter",
     c.CAMERA_IRRADIANCEMETER: "irradiancemeter",
 }
