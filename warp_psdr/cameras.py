@@ -253,19 +253,34 @@ def _lines(file: Path) -> Iterable[str]:
 def _text_cameras(file: Path) -> dict[int, _Lens]:
     found = {}
     for line in filter(str.strip, _lines(file)):
-        number, model, width, height, *values = line.split()
-        found[int(number)] = _lens(model, (int(width), int(height)), [float(v) for v in values], file)
+        number, model, width, height, *values = _words(file, line, 4, -1)
+        size, numbers = _numbers(file, line, [number, width, height]), _numbers(file, line, values)
+        found[int(size[0])] = _lens(model, (int(size[1]), int(size[2])), numbers, file)
     return found
 
 
 def _text_images(file: Path) -> list[_Pose]:
     # Behind each photograph a line lists its points; it may be empty.
-    lines, found = list(_lines(file)), []
-    for line in lines[::2]:
-        if line.strip():
-            _number, *pose, camera, name = line.split(maxsplit=9)
-            found.append((name.strip(), np.array([float(v) for v in pose]), int(camera)))
+    found = []
+    for line in filter(str.strip, list(_lines(file))[::2]):
+        *told, name = _words(file, line, 10, 9)
+        numbers = _numbers(file, line, told)
+        found.append((name.strip(), np.array(numbers[1:8]), int(numbers[8])))
     return found
+
+
+def _words(file: Path, line: str, least: int, splits: int) -> list[str]:
+    words = line.split(maxsplit=splits)
+    if len(words) < least:
+        raise ValueError(f"{file}: got the line {line!r}; expected {least} words or more")
+    return words
+
+
+def _numbers(file: Path, line: str, words: Sequence[str]) -> list[float]:
+    try:
+        return [float(word) for word in words]
+    except ValueError as damage:
+        raise ValueError(f"{file}: got the line {line!r}; expected numbers: {damage}") from damage
 
 
 def _colmap_sensor(name: str, pose: np.ndarray, lenses: dict[int, _Lens], camera: int) -> dict[str, Any]:
