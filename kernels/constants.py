@@ -80,6 +80,14 @@ CAMERA_THINLENS = 2
 CAMERA_RADIANCEMETER = 3
 CAMERA_IRRADIANCEMETER = 4
 CAMERA_BATCH = 5  # no camera, but the film of several
+CAMERA_PERSPECTIVE_OPENCV = 6  # these four: with distortion, see ``sensor/distortion.py``
+CAMERA_THINLENS_OPENCV = 7
+CAMERA_PERSPECTIVE_FISHEYE = 8
+CAMERA_THINLENS_FISHEYE = 9
+#: Cameras whose rays start on a disk.
+THIN_LENSES = frozenset({CAMERA_THINLENS, CAMERA_THINLENS_OPENCV, CAMERA_THINLENS_FISHEYE})
+FISHEYES = frozenset({CAMERA_PERSPECTIVE_FISHEYE, CAMERA_THINLENS_FISHEYE})
+DISTORTED_CAMERAS = frozenset({CAMERA_PERSPECTIVE_OPENCV, CAMERA_THINLENS_OPENCV}) | FISHEYES
 #: Sensors whose rays are parallel to the third column of their pose.
 PARALLEL_CAMERAS = frozenset({CAMERA_ORTHOGRAPHIC, CAMERA_RADIANCEMETER})
 #: Sensors of one pixel, to which no point of a scene can be connected.

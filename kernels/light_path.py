@@ -17,7 +17,7 @@ import functools
 
 import warp as wp
 
-from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, CAMERA_THINLENS, FAR, LOBE_NULL, LOBE_SMOOTH
+from warp_psdr.kernels.constants import CAMERA_IRRADIANCEMETER, FAR, LOBE_NULL, LOBE_SMOOTH, THIN_LENSES
 from warp_psdr.kernels.emitter.dispatch import is_delta_light
 from warp_psdr.kernels.interaction import enter_frame, leave_frame, make_interaction
 from warp_psdr.kernels.invalid import finite, vanishes
@@ -185,7 +185,7 @@ def make_light_path(config: PathConfig, differential: bool):
         vertex.v = hit.v
         slot = SLOT_FIRST + SLOTS_PER_LIGHT_VERTEX * state.depth
         lens = wp.vec2(0.0, 0.0)
-        if wp.static(config.camera in (CAMERA_THINLENS, CAMERA_IRRADIANCEMETER)):
+        if wp.static(config.camera in THIN_LENSES or config.camera == CAMERA_IRRADIANCEMETER):
             lens = lens_point(sample_2d(sampler, slot + 1))
         if wp.static(config.caustics):
             if state.turned == 1:

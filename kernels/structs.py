@@ -99,6 +99,7 @@ class Camera:
     to_world: wp.int32  # flat offset, 4x4 row-major, camera looks along +z with +y up, x to the left
     x_fov: wp.int32  # flat offset, degrees, horizontal field of view of the full film (not orthographic)
     principal: wp.int32  # flat offset of (principal_point_offset_x, _y), relative to the film size (not orthographic)
+    distortion: wp.int32  # flat offset of the numbers of ``sensor/distortion.py`` (with distortion)
     aperture_radius: wp.int32  # flat offset, world units (thin lens)
     focus_distance: wp.int32  # flat offset, world units along the viewing axis (thin lens)
     width: wp.int32

@@ -30,6 +30,14 @@ ORTHOGRAPHIC = changed(SIMPLE, camera=c.CAMERA_ORTHOGRAPHIC)
 SHOWN_DEPTH, SHOWN_NORMAL = (changed(SIMPLE, shown=aov) for aov in ("depth", "sh_normal"))
 IRRADIANCE = changed(SIMPLE, camera=c.CAMERA_IRRADIANCEMETER)
 THIN_LENS = changed(SIMPLE, camera=c.CAMERA_THINLENS)
+CAMERAS = {
+    "orthographic": ORTHOGRAPHIC,
+    "thin lens": THIN_LENS,
+    "distortion": changed(SIMPLE, camera=c.CAMERA_PERSPECTIVE_OPENCV),
+    "distortion, thin lens": changed(SIMPLE, camera=c.CAMERA_THINLENS_OPENCV),
+    "fisheye": changed(SIMPLE, camera=c.CAMERA_PERSPECTIVE_FISHEYE),
+    "fisheye, thin lens": changed(SIMPLE, camera=c.CAMERA_THINLENS_FISHEYE),
+}
 THIN_LENS_SMOOTH = changed(THIN_LENS, smooth=True)
 ORTHOGRAPHIC_SMOOTH = changed(ORTHOGRAPHIC, smooth=True)
 GLOSSY = changed(SIMPLE, **materials("roughconductor (ggx)", "blendbsdf(diffuse, conductor)"))
@@ -56,6 +64,8 @@ NEURAL_MIRRORS = changed(MIRROR_LIGHTS, primitives=CUBIC.surfaces.primitives)
 MIRRORS = changed(SIMPLE, **materials("conductor", "dielectric"))
 MIRRORS_PARALLEL = changed(MIRRORS, camera=c.CAMERA_ORTHOGRAPHIC)
 MIRRORS_LENS = changed(MIRRORS, camera=c.CAMERA_THINLENS)
+MIRRORS_DISTORTED = changed(MIRRORS, camera=c.CAMERA_THINLENS_OPENCV)
+MIRRORS_DISTORTED = changed(MIRRORS, camera=c.CAMERA_THINLENS_OPENCV)
 #: Light passes masks and thin glass.
 THROUGH = changed(
     SIMPLE,

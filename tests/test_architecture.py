@@ -53,7 +53,18 @@ HOST_LAYERS = (
     {"topology"},
     {"plan", "rows"},
     {"estimate"},
-    {"accuracy", "boundary", "coverage", "coverage_scenes", "guiding", "interior", "moment", "optim", "parts"}
+    {
+        "accuracy",
+        "boundary",
+        "cameras",
+        "coverage",
+        "coverage_scenes",
+        "guiding",
+        "interior",
+        "moment",
+        "optim",
+        "parts",
+    }
     | {"sdf", "view"},
     {"render"},
     {"aov", "torch", "__init__"},

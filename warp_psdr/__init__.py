@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # for editors and type checkers; at run time names come from ``_PUBLIC``
     from warp_psdr import (
         boundary,
+        cameras,
         distributed,
         fit,
         guiding,
@@ -75,6 +76,7 @@ __all__ = [
     "accuracy",
     "bind",
     "boundary",
+    "cameras",
     "compile",
     "cornell_box",
     "coverage",
@@ -166,6 +168,7 @@ _PUBLIC = {
 }
 _MODULES = (
     "boundary",
+    "cameras",
     "distributed",
     "fit",
     "guiding",

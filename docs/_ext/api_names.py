@@ -24,7 +24,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
 #: Public modules in the order of their sections.
 MODULES = (
     *("losses", "optim", "unknowns", "torch", "fit", "distributed", "interior", "boundary", "guiding", "plots", "sdf"),
-    *("image_io", "scenes"),
+    *("cameras", "image_io", "scenes"),
 )
 
 

@@ -2,7 +2,8 @@
 
 The conventions are those of Mitsuba's ``perspective``, ``thinlens`` and ``orthographic``. Film position and lens point
 are fixed while the camera moves, so the first vertex of a path slides over the surface. A ``radiancemeter`` is the
-orthographic ray of the film's centre. ``meter.py`` has the rays of an ``irradiancemeter``.
+orthographic ray of the film's centre. ``meter.py`` has the rays of an ``irradiancemeter``, ``distortion.py`` the lenses
+that bend a pinhole's or thin lens's image.
 
 Derivation: ``docs/theory/cameras.md#camera-rays``.
 """
@@ -15,10 +16,19 @@ from warp_psdr.kernels.autodiff import differentiable
 from warp_psdr.kernels.constants import (
     CAMERA_IRRADIANCEMETER,
     CAMERA_ORTHOGRAPHIC,
-    CAMERA_THINLENS,
+    DISTORTED_CAMERAS,
+    FISHEYES,
     PARALLEL_CAMERAS,
+    THIN_LENSES,
 )
 from warp_psdr.kernels.sampling import square_to_disk
+from warp_psdr.kernels.sensor.distortion import (
+    NUMBERS,
+    film_plane,
+    load_coefficients,
+    make_distorted_dot,
+    make_distortion,
+)
 from warp_psdr.kernels.sensor.meter import meter_direction, meter_origin
 from warp_psdr.kernels.sink import make_sink
 from warp_psdr.kernels.structs import Camera, Scene
@@ -56,6 +66,16 @@ def load_mat44(values: wp.array(dtype=wp.float32), offset: wp.int32) -> wp.mat44
 def half_width(fov: wp.float32) -> wp.float32:
     """tan(fov / 2), ``fov`` in degrees."""
     return wp.tan(fov * wp.static(3.14159265358979 / 360.0))
+
+
+@wp.func
+def direction_of(m: wp.mat44, x: wp.float32, y: wp.float32) -> wp.vec3:
+    """Unnormalised world direction of (x, y, 1)."""
+    return wp.vec3(
+        m[0, 0] * x + m[0, 1] * y + m[0, 2],
+        m[1, 0] * x + m[1, 1] * y + m[1, 2],
+        m[2, 0] * x + m[2, 1] * y + m[2, 2],
+    )
 
 
 @wp.func
@@ -159,7 +179,7 @@ def make_lens(kind: int):
 
     @wp.func
     def lens_point(u: wp.vec2) -> wp.vec2:
-        if wp.static(kind == CAMERA_THINLENS):
+        if wp.static(kind in THIN_LENSES):
             return square_to_disk(u)
         elif wp.static(kind == CAMERA_IRRADIANCEMETER):
             return u
@@ -170,12 +190,31 @@ def make_lens(kind: int):
 
 
 @functools.cache
+def make_pinhole_image(kind: int):
+    """Return ``pinhole_image(scene, camera, k, film) -> vec2``: (p, q) of the direction through a film position.
+
+    A camera with distortion; ``k`` is its ``half_width``.
+    """
+    undistort = make_distortion(kind in FISHEYES).undistort
+
+    @wp.func
+    def pinhole_image(scene: Scene, camera: Camera, k: wp.float32, film: wp.vec2) -> wp.vec2:
+        aspect = wp.float32(camera.width) / wp.float32(camera.height)
+        cx = scene.values[camera.principal]
+        cy = scene.values[camera.principal + 1]
+        return undistort(load_coefficients(scene, camera), film_plane(k, cx, cy, film[0], film[1], aspect))
+
+    return pinhole_image
+
+
+@functools.cache
 def make_camera_rays(kind: int):
     """Return ``(view, ray_in)`` for many rays: ``ray_in(scene, camera, view(scene, camera), sample) -> CameraRay``.
 
     ``view`` is what they share and takes a call of the C library.
     """
     camera_origin = make_camera_origin(kind)
+    pinhole_image = make_pinhole_image(kind) if kind in DISTORTED_CAMERAS else None
 
     @wp.func
     def view(scene: Scene, camera: Camera) -> wp.float32:
@@ -200,8 +239,12 @@ def make_camera_rays(kind: int):
         if wp.static(kind not in PARALLEL_CAMERAS):
             cx = scene.values[camera.principal]
             cy = scene.values[camera.principal + 1]
-            d = direction_through(m, k, cx, cy, film[0], film[1], aspect)
-        if wp.static(kind == CAMERA_THINLENS):
+            if wp.static(pinhole_image is not None):
+                x = pinhole_image(scene, camera, k, film)
+                d = direction_of(m, x[0], x[1])
+            else:
+                d = direction_through(m, k, cx, cy, film[0], film[1], aspect)
+        if wp.static(kind in THIN_LENSES):
             radius = scene.values[camera.aperture_radius]
             d = bent_to_focus(m, d, radius, scene.values[camera.focus_distance], sample.lens)
         length = wp.length(d)
@@ -233,7 +276,7 @@ def make_camera_origin(kind: int):
         m = load_mat44(scene.values, camera.to_world)
         if wp.static(kind in PARALLEL_CAMERAS):
             return parallel_origin(m, sample.film, wp.float32(camera.width) / wp.float32(camera.height))
-        elif wp.static(kind == CAMERA_THINLENS):
+        elif wp.static(kind in THIN_LENSES):
             return lens_origin(m, scene.values[camera.aperture_radius], sample.lens)
         else:
             return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
@@ -276,6 +319,10 @@ def make_camera_sink(role: str, kind: int):
     An irradiance meter has no parameters of its own.
     """
     sink = make_sink(role)
+    distorted = kind in DISTORTED_CAMERAS
+    jacobian = make_distortion(kind in FISHEYES).jacobian if distorted else None
+    distorted_dot = make_distorted_dot(kind in FISHEYES) if distorted else None
+    pinhole_image = make_pinhole_image(kind) if distorted else None
 
     @wp.func
     def accumulate_camera(
@@ -300,7 +347,27 @@ def make_camera_sink(role: str, kind: int):
             g_fov = wp.float32(0.0)
             g_cx = wp.float32(0.0)
             g_cy = wp.float32(0.0)
-            if wp.static(kind == CAMERA_THINLENS):
+            if wp.static(distorted):
+                c = load_coefficients(scene, camera)
+                start = pinhole_image(scene, camera, half_width(fov), film)
+                inverse = wp.inverse(jacobian(c, start))
+                lens_radius = wp.float32(0.0)
+                focal = wp.float32(1.0)
+                if wp.static(kind in THIN_LENSES):
+                    lens_radius = scene.values[camera.aperture_radius]
+                    focal = scene.values[camera.focus_distance]
+                (
+                    g_m, g_fov, g_cx, g_cy, g_c, g_lens_radius, g_focal,
+                    _film, _lens, _aspect, _start, _inverse, _a_o, _a_d,
+                ) = wp.grad(distorted_dot)(
+                    m, fov, cx, cy, c, lens_radius, focal, film, sample.lens, aspect, start, inverse, a_o, a_d
+                )  # fmt: skip
+                if wp.static(kind in THIN_LENSES):
+                    total += sink(target, camera.aperture_radius, g_lens_radius)
+                    total += sink(target, camera.focus_distance, g_focal)
+                for i in range(wp.static(NUMBERS)):
+                    total += sink(target, camera.distortion + i, g_c[i])
+            elif wp.static(kind in THIN_LENSES):
                 radius = scene.values[camera.aperture_radius]
                 focus = scene.values[camera.focus_distance]
                 g_m, g_fov, g_cx, g_cy, g_radius, g_focus, _film, _lens, _aspect, _a_o, _a_d = wp.grad(lens_dot)(
@@ -332,7 +399,7 @@ def make_camera_eye(kind: int):
         m = load_mat44(scene.values, camera.to_world)
         if wp.static(kind == CAMERA_ORTHOGRAPHIC):
             return wp.vec3(m[0, 2], m[1, 2], m[2, 2])
-        if wp.static(kind == CAMERA_THINLENS):
+        if wp.static(kind in THIN_LENSES):
             return lens_origin(m, scene.values[camera.aperture_radius], lens)
         return wp.vec3(m[0, 3], m[1, 3], m[2, 3])
 

@@ -2,6 +2,7 @@
 
 With P = M^-1 (x - o) and (p, q) = (P_x, P_y) / P_z, a pinhole at o sees a point at film = (1 - p / k) / 2 - c_x, (1 - q
 a / k) / 2 - c_y. The importance of the camera is the Jacobian of that map; a thin lens is the mean over pinholes.
+Distortion moves (p, q) before (``distortion.py``).
 
 Derivation: ``docs/theory/cameras.md#projection-and-importance``.
 """
@@ -10,16 +11,20 @@ import functools
 
 import warp as wp
 
+from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import (
     CAMERA_IRRADIANCEMETER,
     CAMERA_ORTHOGRAPHIC,
-    CAMERA_THINLENS,
+    DISTORTED_CAMERAS,
+    FISHEYES,
     RFILTER_BOX,
     RFILTER_TENT,
+    THIN_LENSES,
 )
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.rng import Sampler
-from warp_psdr.kernels.sensor.camera import CameraSample, lens_origin, load_mat44
+from warp_psdr.kernels.sensor.camera import CameraSample, lens_origin, load_mat44, make_pinhole_image
+from warp_psdr.kernels.sensor.distortion import SAME_RAY, load_coefficients, make_distortion
 from warp_psdr.kernels.sensor.film import (
     GAUSSIAN_CUT,
     GAUSSIAN_FLOOR,
@@ -111,6 +116,44 @@ def film_window(camera: Camera, at: wp.vec2) -> FilmWindow:
 
 
 @functools.cache
+def make_pinhole_point(kind: int):
+    """Return ``pinhole_point(scene, camera, at) -> vec2``: (p, q), which the camera's distortion moves."""
+
+    @wp.func
+    def pinhole_point(scene: Scene, camera: Camera, at: FilmPoint) -> wp.vec2:
+        c = at.camera_space
+        point = wp.vec2(c[0] / c[2], c[1] / c[2])
+        if wp.static(kind in THIN_LENSES):
+            point += (scene.values[camera.aperture_radius] / scene.values[camera.focus_distance]) * at.sample.lens
+        return point
+
+    return pinhole_point
+
+
+@functools.cache
+def make_area_gradient(kind: int):
+    """Return ``area_gradient(scene, camera, at) -> vec3``: gradient by x of the logarithm of distortion's Jacobian.
+
+    None: the camera has no distortion.
+    """
+    if kind not in DISTORTED_CAMERAS:
+        return None
+    log_area = make_distortion(kind in FISHEYES).log_area
+    pinhole_point = make_pinhole_point(kind)
+
+    @wp.func
+    def area_gradient(scene: Scene, camera: Camera, at: FilmPoint) -> wp.vec3:
+        _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
+        point = pinhole_point(scene, camera, at)
+        _coefficients, g = wp.grad(log_area)(load_coefficients(scene, camera), point)
+        c = at.camera_space
+        by_camera_space = wp.vec3(g[0], g[1], -(g[0] * c[0] + g[1] * c[1]) / c[2]) / c[2]
+        return wp.transpose(wp.inverse(camera_block(scene, camera))) * by_camera_space
+
+    return area_gradient
+
+
+@functools.cache
 def make_projection(kind: int):
     """Return ``(project, film_gradient, film_velocity)`` of a kind of camera.
 
@@ -119,6 +162,10 @@ def make_projection(kind: int):
     ``film_gradient(scene, camera, at, n) -> vec3``: gradient of n . pixel(x) with respect to x;
     ``film_velocity(scene, camera, at, v) -> vec2``: velocity of pixel(x) for a velocity v of x.
     """
+    distorted = kind in DISTORTED_CAMERAS
+    distort, jacobian = make_distortion(kind in FISHEYES)[:2] if distorted else (None, None)
+    pinhole_image = make_pinhole_image(kind) if distorted else None
+    pinhole_point = make_pinhole_point(kind)
 
     @wp.func
     def project(scene: Scene, camera: Camera, x: wp.vec3, lens: wp.vec2) -> FilmPoint:
@@ -140,7 +187,7 @@ def make_projection(kind: int):
         block = camera_block(scene, camera)
         axis = wp.vec3(m[0, 2], m[1, 2], m[2, 2])
         r.origin = wp.vec3(m[0, 3], m[1, 3], m[2, 3])
-        if wp.static(kind == CAMERA_THINLENS):
+        if wp.static(kind in THIN_LENSES):
             r.origin = lens_origin(m, scene.values[camera.aperture_radius], lens)
         c = wp.inverse(block) * (x - r.origin)
         if c[2] <= 0.0:
@@ -166,10 +213,17 @@ def make_projection(kind: int):
             r.near = camera.near * slant / size
             r.far = camera.far * slant / size
             r.per_area = r.scale * r.scale * slant * slant * slant / (area * wp.length_sq(x - r.origin))
-            if wp.static(kind == CAMERA_THINLENS):
+            if wp.static(kind in THIN_LENSES):
                 shear = scene.values[camera.aperture_radius] / scene.values[camera.focus_distance]
                 p += shear * lens[0]
                 q += shear * lens[1]
+            if wp.static(distorted):
+                seen = wp.vec2(p, q)
+                coefficients = load_coefficients(scene, camera)
+                moved = distort(coefficients, seen)
+                p = moved[0]
+                q = moved[1]
+                r.per_area *= wp.abs(wp.determinant(jacobian(coefficients, seen)))
             r.sample.film = wp.vec2(
                 0.5 * (1.0 - p / k) - scene.values[camera.principal],
                 0.5 * (1.0 - q * width / (height * k)) - scene.values[camera.principal + 1],
@@ -179,7 +233,16 @@ def make_projection(kind: int):
         distance = wp.length(x - r.origin)
         if counts(camera, r.pixel) and distance > r.near and distance < r.far:
             r.valid = 1
+            if wp.static(distorted):
+                # Beyond the film the lens may fold directions onto it, which no ray has.
+                apart = pinhole_image(scene, camera, k, film) - seen
+                if not wp.length(apart) < SAME_RAY * (1.0 + wp.length(seen)):
+                    r.valid = 0
         return r
+
+    @wp.func
+    def jacobian_at(scene: Scene, camera: Camera, at: FilmPoint) -> wp.mat22:
+        return jacobian(load_coefficients(scene, camera), pinhole_point(scene, camera, at))
 
     @wp.func
     def film_gradient(scene: Scene, camera: Camera, at: FilmPoint, n: wp.vec2) -> wp.vec3:
@@ -190,7 +253,10 @@ def make_projection(kind: int):
         else:
             p = c[0] / c[2]
             q = c[1] / c[2]
-            g = (-at.scale / c[2]) * wp.vec3(n[0], n[1], -(n[0] * p + n[1] * q))
+            by = n
+            if wp.static(distorted):
+                by = wp.transpose(jacobian_at(scene, camera, at)) * n
+            g = (-at.scale / c[2]) * wp.vec3(by[0], by[1], -(by[0] * p + by[1] * q))
             return wp.transpose(wp.inverse(camera_block(scene, camera))) * g
 
     @wp.func
@@ -202,7 +268,10 @@ def make_projection(kind: int):
         else:
             p = c[0] / c[2]
             q = c[1] / c[2]
-            return (-at.scale / c[2]) * wp.vec2(w[0] - p * w[2], w[1] - q * w[2])
+            rate = (-at.scale / c[2]) * wp.vec2(w[0] - p * w[2], w[1] - q * w[2])
+            if wp.static(distorted):
+                rate = jacobian_at(scene, camera, at) * rate
+            return rate
 
     return project, film_gradient, film_velocity
 

@@ -210,6 +210,23 @@ LENS = [
     Case("plane, lens", "sensor.focus_distance", ones, 1e-2, spp=512),
     Case("plane, lens", "floor.to_world", turn(0.5, 0.8, 0.2), 2e-2, "turn", spp=256, slow=True),
 ]
+#: Steps of a twentieth of a pixel at the film's border.
+BENDING = {"k1": 0.01, "k2": 0.02, "p1": 3e-3, "p2": 3e-3, "k3": 0.04, "k4": 0.01, "k5": 0.02, "k6": 0.04}
+BENDING |= {"pixel_aspect": 5e-3, "skew": 5e-3, "x_fov": 0.2}
+BENDING |= {"principal_point_offset_x": 4e-3, "principal_point_offset_y": 4e-3}
+DISTORTED = [
+    *(
+        Case("plane, distorted", f"sensor.{name}", ones, step, spp=128, slow=name not in ("k1", "p2", "skew"))
+        for name, step in BENDING.items()
+    ),
+    *(
+        Case("plane, fisheye", f"sensor.{name}", ones, step, spp=128, slow=True)
+        for name, step in BENDING.items()
+        if name not in ("p1", "p2", "k5", "k6")
+    ),
+    Case("plane, distorted", "sensor.to_world", aim(0.3, 0.8, 0.4), 4e-3, "aim", spp=128, slow=True),
+    Case("plane, fisheye", "sensor.to_world", aim(0.3, 0.8, 0.4), 4e-3, "aim", spp=128, slow=True),
+]
 PROJECTED = [
     Case("projected", "lamp.irradiance.data", texel_wave, 2e-2, depth=2),
     Case("projected", "lamp.scale", ones, 5e-2, depth=2),
@@ -411,7 +428,7 @@ DELTA = [
     Case("leaf", "leaf.bsdf.nested_bsdf.brdf_0.reflectance.value", mixed, 5e-2, depth=4, spp=64),
 ]
 CASES = [
-    *(*PLANE, *PARALLEL, *LENS, *PROJECTED, *DOME, *GAP),
+    *(*PLANE, *PARALLEL, *LENS, *DISTORTED, *PROJECTED, *DOME, *GAP),
     *(
         *ROUGH,
         *PLASTIC,

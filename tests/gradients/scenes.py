@@ -118,6 +118,13 @@ def plane_seen_by(kind, to_world=None, **parameters):
     return {**scene, "sensor": {**kept, "type": kind, "to_world": pose, **parameters}}
 
 
+def plane_through(**distortion):
+    """``plane`` seen through a lens that moves what it shows."""
+    scene = plane_scene()
+    more = {"fov": 62.0, "pixel_aspect": 1.1, "skew": 0.05, "principal_point_offset_x": 0.03, **distortion}
+    return {**scene, "sensor": scene["sensor"] | more}
+
+
 def projected_scene():
     """A floor under a projector, whose image has a black border: it ends without an edge."""
     image = np.pad(noise(4, 5, 3, seed=7), ((1, 1), (1, 1), (0, 0)))
@@ -352,6 +359,10 @@ SCENES = {
     "plane": plane_scene,
     "plane, parallel": lambda: plane_seen_by("orthographic", psdr.Transform.scale([0.9, 1.1, 1.5])),
     "plane, lens": lambda: plane_seen_by("thinlens", aperture_radius=0.3, focus_distance=1.7),
+    "plane, distorted": lambda: plane_through(
+        **{"k1": -0.1, "k2": 0.06, "p1": 0.02, "p2": -0.015, "k3": 0.01, "k4": 0.02, "k5": 0.01, "k6": -0.01}
+    ),
+    "plane, fisheye": lambda: plane_through(distortion="fisheye", k1=0.1, k2=-0.03, k3=0.01, k4=0.004),
     "projected": projected_scene,
     "dome": dome_scene,
     "gap": gap_scene,

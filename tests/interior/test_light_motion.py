@@ -132,10 +132,12 @@ def mirrored():
 
 X = np.array([1.0, 0.0, 0.0])
 LENS = {"type": "thinlens", "aperture_radius": 0.05, "focus_distance": 3.0}
+BENT = {"k1": 2.0, "k2": 3.0, "p1": 0.2, "pixel_aspect": 1.2, "skew": 0.1}
 #: Scene, parameter, its velocity (one vector for all vertices), step.
 ROWS = {
     "index": (lambda: caustic(NARROW), "ball.bsdf.eta", 1.0, 0.004),
     "index, thin lens": (lambda: caustic(NARROW, **LENS), "ball.bsdf.eta", 1.0, 0.004),
+    "index, distortion": (lambda: caustic(NARROW, **BENT), "ball.bsdf.eta", 1.0, 0.004),
     "spot, x": (lambda: caustic(NARROW), "light.to_world", shifted(), 0.01),
     "spot, turn": (lambda: caustic(NARROW), "light.to_world", turned(), 0.004),
     "projector, turn": (lambda: caustic(SLIDE), "light.to_world", turned(), 0.004),

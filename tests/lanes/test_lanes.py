@@ -63,6 +63,10 @@ def blurred():
     return with_sensor(scenes.plane_scene(), type="thinlens", aperture_radius=0.1, focus_distance=2.0)
 
 
+def distorted():
+    return with_sensor(scenes.plane_scene(), k1=-0.1, p1=0.02, skew=0.1)
+
+
 def wide_filter():
     scene = scenes.gap_scene()
     film = {**scene["sensor"]["film"], "rfilter": {"type": "gaussian"}}
@@ -197,6 +201,7 @@ SCENES = {
     "constant sky, textured by faces": lambda: {"type": "scene", **scenes.dome_scene()},
     "hidden light": hidden_light,
     "thin lens": blurred,
+    "distortion": distorted,
     "gaussian filter": wide_filter,
 }
 #: Scene, parameters and samples of the row that is not slow.

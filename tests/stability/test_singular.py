@@ -35,6 +35,8 @@ EVERY = {
     "bilinear_dot": "linear in values, and in the position within a cell",
     "half_width": "an opening of 180 degrees, which loading refuses",
     "camera_dot": "here", "lens_dot": "here", "parallel_dot": "here",
+    "distorted_dot": "as camera_dot; a lens that folds, which loading and each call refuse",
+    "log_area": "a lens that folds: a point there is not seen",
     "directional_dot": "here", "point_dot": "here", "spot_dot": "here", "moved_point_dot": "linear",
     "projected_dot": "test_textured_spot.py", "projector_dot": "test_projector.py", "frame_dot": "test_projector.py",
     "tangent_dot": "here", "tangent_frame_dot": "here",

@@ -5,6 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 from tests.boundary.scenes import ball, diffuse
+from warp_psdr.scene.distortion import distort, undistort
 from warp_psdr.topology.camera_view import camera_view
 from warp_psdr.topology.edges import scene_adjacency
 from warp_psdr.topology.film_edges import film_edges, primary_edges
@@ -80,6 +81,37 @@ def test_clipped_stretches_hold_what_is_seen(kind, border):
         rings = np.array(squared).reshape(2, len(disk), -1).mean(axis=1)
         expected = np.sqrt(rings[0] / 3.0 + 2.0 * rings[1] / 3.0)
     np.testing.assert_allclose(length[length > 0.0], expected[length > 0.0], rtol=1e-5)
+
+
+@pytest.mark.parametrize("border", [True, False], ids=["sampled border", "border"])
+@pytest.mark.parametrize("kind", ["perspective", "thinlens"])
+@pytest.mark.parametrize("model", ["opencv", "fisheye"])
+def test_edges_through_a_distorting_lens_are_clipped_by_what_it_shows(model, kind, border):
+    """Edges through points of random rays are kept there: they are lines where the lens has not yet bent them."""
+    lens = {"distortion": model, "k1": -0.2 if model == "opencv" else 0.1, "k2": 0.05, "pixel_aspect": 1.2, "skew": 0.1}
+    sensor = {"type": kind, "film": FILM | {"sample_border": border}, **CLIPS, **SENSORS[kind], **lens, "fov": 70.0}
+    scene = psdr.load_dict({"type": "scene", "sensor": sensor, "sky": {"type": "constant"}})
+    random, margin = np.random.default_rng(5), MARGIN if border else 0.0
+    film = random.uniform([5.0 - margin, 2.0 - margin], [17.0 + margin, 10.0 + margin], (2000, 2))
+    k = np.tan(np.radians(35.0))
+    numbers = np.array([1.2, 0.1, lens["k1"], lens["k2"], *np.zeros(6)])
+    y = np.stack([(1.0 - film[:, 0] / 10.0) * k, (1.0 - film[:, 1] / 6.0) * k * 12.0 / 20.0], axis=1)
+    x = undistort(model, numbers, y)
+    np.testing.assert_allclose(distort(model, numbers, x), y, atol=1e-9)
+    angle = random.uniform(0.0, 2.0 * np.pi, 2000)
+    disk = (RADIUS if kind == "thinlens" else 0.0) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    z = random.uniform(CLIPS["near_clip"] + 0.01, CLIPS["far_clip"] - 0.01, 2000)[:, None]
+    local = np.concatenate([disk + (x - disk / FOCUS) * z, z], axis=1)
+    along, at = random.normal(size=(2000, 3)), random.uniform(0.1, 0.9, 2000)
+    ends = np.stack([local - at[:, None] * along, local + (1.0 - at)[:, None] * along], axis=1)
+    pose = POSE.matrix
+    low, high, length = camera_view(scene, 0).clip(ends @ pose[:3, :3].T + pose[:3, 3])
+    # Only what is in front of the clip plane counts; the point itself is.
+    assert ((low <= at) & (at <= high) & (length > 0.0)).all()
+    # And the box is no larger than it has to be: beside the film nothing is kept.
+    view = camera_view(scene, 0)
+    room = (view.bounds[1] - view.bounds[0]) / np.ptp(view.center - view.scale * x, axis=0)
+    assert (room < 1.15).all()
 
 
 @pytest.mark.parametrize("kind", SENSORS)

@@ -52,6 +52,7 @@ WORDS = {
     "hidden_lights": Word("area lights that hide_emitters hides", "show the lights"),
     # Sensors and films
     "thinlens": Word("a 'thinlens' camera", "take a 'perspective' one"),
+    "distortion": Word("a camera with 'distortion'", "undistort the photograph and leave 'distortion' out"),
     "orthographic": Word("an 'orthographic' camera", "take a 'perspective' one"),
     "radiancemeter": Word("the one ray of a 'radiancemeter'", "use a narrow camera"),
     "irradiancemeter": Word("an 'irradiancemeter'", "watch with a camera instead"),
@@ -82,7 +83,7 @@ COMMON = words(
     "moving_vertices",
     *("vertex_normals", "mirrors", "rough_glass", "null", "turned_normals", "steps"),
     *("point_lights", "far_lights", "hide_emitters", "hidden_lights", "shining"),
-    *("thinlens", "orthographic", "radiancemeter", "irradiancemeter"),
+    *("thinlens", "distortion", "orthographic", "radiancemeter", "irradiancemeter"),
 )
 #: What vertices in a medium need.
 MEDIA = words("media", "moving_media", "density_grids", "microflakes", "blended_grids", "emission")

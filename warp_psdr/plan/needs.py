@@ -40,10 +40,8 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
     looks = media is None or moving_media
     delta = looks and has_chain_lobes(config.surfaces.bsdfs, media is not None)
     rough, solids = passing(config.surfaces.bsdfs), primitives.words_of(scene)
-    told = {
-        **solids,
-        "rough_glass": Word(f"the smooth lobe behind the surface of a {rough!r}", WORDS["rough_glass"].instead),
-    }
+    glass = WORDS["rough_glass"]._replace(what=f"the smooth lobe behind the surface of a {rough!r}")
+    told = {**solids, "rough_glass": glass}
     there = {
         "media": media is not None,
         "microflakes": has_flakes(tuple(phases)),
@@ -70,6 +68,7 @@ def needs(scene: Scene, config: PathConfig, wanted: GradientRequest | None) -> d
         "hide_emitters": config.lights.hide_emitters,
         "hidden_lights": config.rays.hidden,
         "material_first": config.material_first,
+        "distortion": config.camera in c.DISTORTED_CAMERAS,
         **{name: CAMERA_NAMES[config.camera] == name for name in CAMERA_NAMES.values() if name in WORDS},
     }
     return {word: told.get(word, WORDS[word]) for word, holds in there.items() if holds}

@@ -341,7 +341,8 @@ def _config(scene: Scene, integrator: PathIntegrator, sensor: int, lines: list) 
     )
     lines.append(("depth", str(depth), reason))
     kind = CAMERA_NAMES[camera.kind]
-    lines.append(("camera", kind, "two random numbers a sample for the lens" if kind == "thinlens" else "no lens"))
+    reason = "two random numbers a sample for the lens" if kind == "thinlens" else "no lens"
+    lines.append(("camera", kind, reason + ", rays by Newton's method" * (camera.kind in c.DISTORTED_CAMERAS)))
     times = transient.times_of(scene, sensor)
     lines += transient.describe(times)
     lines.append(("sampler", sampler, "Owen-scrambled, padded pairs" if sampler == "sobol" else "hashed counters"))

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_PERSPECTIVE, CAMERA_THINLENS
+from warp_psdr.kernels.constants import METERS
 from warp_psdr.kernels.medium.coefficients import POSE
 from warp_psdr.plan import media
 from warp_psdr.plan.transient import require_steady
 from warp_psdr.plan.words import CAMERA_NAMES
+from warp_psdr.scene.distortion import AFFINE, MODELS
 from warp_psdr.scene.layout import MEDIUM
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from warp_psdr.scene.scene import Scene
 
 #: Parameters of cameras that change how far the near clip plane is along a ray.
-_TURNS_RAYS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y")
+_TURNS_RAYS = ("x_fov", "principal_point_offset_x", "principal_point_offset_y", *AFFINE, *MODELS["opencv"])
 
 
 def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> None:
@@ -28,11 +29,9 @@ def refuse(scene: Scene, config: PathConfig, names: list[str], sensor: int) -> N
     if not config.shown:
         return
     require_steady(scene, sensor, "psdr.AovIntegrator")
-    if config.camera not in (CAMERA_PERSPECTIVE, CAMERA_THINLENS, CAMERA_ORTHOGRAPHIC):
-        raise ValueError(
-            f"AovIntegrator: got a {CAMERA_NAMES[config.camera]!r}, expected a 'perspective', 'thinlens' or "
-            "'orthographic' sensor"
-        )
+    if config.camera in METERS:
+        expected = "a 'perspective', 'thinlens' or 'orthographic' sensor"
+        raise ValueError(f"AovIntegrator: got a {CAMERA_NAMES[config.camera]!r}, expected {expected}")
     if config.shown == "position" and scene.origin.any():
         raise ValueError(
             "AovIntegrator(aov='position'): the scene is far from the origin of the world, where float32 keeps no "

@@ -16,9 +16,9 @@ EMITTER_NAMES = {
     c.EMITTER_DIRECTIONAL: "directional",
 }
 CAMERA_NAMES = {
-    c.CAMERA_PERSPECTIVE: "perspective",
+    **dict.fromkeys((c.CAMERA_PERSPECTIVE, *sorted(c.DISTORTED_CAMERAS - c.THIN_LENSES)), "perspective"),
     c.CAMERA_ORTHOGRAPHIC: "orthographic",
-    c.CAMERA_THINLENS: "thinlens",
+    **dict.fromkeys(sorted(c.THIN_LENSES), "thinlens"),
     c.CAMERA_RADIANCEMETER: "radiancemeter",
     c.CAMERA_IRRADIANCEMETER: "irradiancemeter",
 }

@@ -15,6 +15,7 @@ from warp_psdr.kernels.bsdf.dispatch import declaration_of, models_of, ordered
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, MadeTable, Value, key_of
 from warp_psdr.kernels.bsdf.record import Slot, merge_values, slot_of
 from warp_psdr.kernels.vertex import MediaConfig
+from warp_psdr.scene.distortion import AFFINE, MODELS
 from warp_psdr.scene.layout import (
     CAMERA,
     LIGHT_POSE,
@@ -62,6 +63,12 @@ CAMERAS = {
     "radiancemeter": c.CAMERA_RADIANCEMETER,
     "irradiancemeter": c.CAMERA_IRRADIANCEMETER,
     "batch": c.CAMERA_BATCH,
+}
+DISTORTED = {
+    ("perspective", "opencv"): c.CAMERA_PERSPECTIVE_OPENCV,
+    ("thinlens", "opencv"): c.CAMERA_THINLENS_OPENCV,
+    ("perspective", "fisheye"): c.CAMERA_PERSPECTIVE_FISHEYE,
+    ("thinlens", "fisheye"): c.CAMERA_THINLENS_FISHEYE,
 }
 
 
@@ -422,6 +429,12 @@ class Builder:
             record.principal = self.layout.add_values(np.asarray(s.principal_point_offset))
             for i, axis in enumerate("xy"):
                 self.layout.name(f"{s.path}.principal_point_offset_{axis}", record.principal + i, (1,), CAMERA)
+            if s.distortion:
+                record.kind = DISTORTED[s.kind, s.distortion]
+                record.distortion = self.layout.add_values(np.asarray(s.distortion_numbers))
+                for i, name in enumerate((*AFFINE, *MODELS[s.distortion])):
+                    bounds = (1e-3, 1e3) if name == "pixel_aspect" else (-INF, INF)
+                    self.layout.name(f"{s.path}.{name}", record.distortion + i, (1,), CAMERA, bounds=bounds)
         if s.kind == "thinlens":
             for name, low in (("aperture_radius", 0.0), ("focus_distance", 1e-6)):
                 value = np.array([getattr(s, name)])

@@ -263,6 +263,9 @@ class SensorDescription:
     to_world: np.ndarray
     x_fov: float = 0.0  #: degrees, horizontal field of view of the whole film (fov_axis already resolved)
     principal_point_offset: tuple[float, float] = (0.0, 0.0)
+    distortion: Literal["", "opencv", "fisheye"] = ""  #: perspective, thinlens; "": none, and square pixels
+    #: (10,) with distortion: fy / fx, skew, and the coefficients, see ``kernels/sensor/distortion.py``
+    distortion_numbers: tuple[float, ...] = ()
     aperture_radius: float = 0.0  #: thinlens, world units
     focus_distance: float = 1.0  #: thinlens, world units along the viewing axis
     near_clip: float = 1e-2

@@ -41,7 +41,7 @@ def x_fov(props: Properties, aspect: float) -> float:
 
     Args:
         props: The plugin.
-        aspect: Width over height of its film or image.
+        aspect: Width over height of its film or image, as it is seen: times that of a pixel.
     """
     if props.has("fov") and props.has("focal_length"):
         raise error(props.where, "got both 'fov' and 'focal_length'", "give one of them")

@@ -23,6 +23,7 @@ from warp_psdr.scene.acceleration import Accelerator
 from warp_psdr.scene.bindings import Bindings
 from warp_psdr.scene.build import Builder
 from warp_psdr.scene.derived_values import sum_of_normals
+from warp_psdr.scene.distortion import require_clear
 from warp_psdr.scene.edits import Edits, State, check_media, differing, has_results, write_parts
 from warp_psdr.scene.kinds.kind import Geometry, geometry_of
 from warp_psdr.scene.kinds.records import Followers, update_record
@@ -48,8 +49,7 @@ if TYPE_CHECKING:
 
     from warp_psdr.scene.description import SceneDescription
 
-#: Shapes below this many ray epsilons are noted: derivatives of silhouettes are off by 5 % at 35 of them, by 0.1 % at
-#: 350 (``tests/stability/test_scale.py``).
+#: Shapes below this many ray epsilons are noted: silhouettes are off by 5 % at 35 of them, by 0.1 % at 350.
 SPECK = 100.0
 #: Shapes narrower than this many steps past edges are noted: derivatives lack 4 % at 0.15 of them, and all at 0.1.
 HAIR = 0.2
@@ -228,9 +228,10 @@ class Scene:
         """Return the camera record of a sensor, which is given by its number or its id.
 
         Raises:
-            ValueError: There is no such sensor.
+            ValueError: There is no such sensor, or its distortion folds inside its film at the present values.
         """
-        return self.builder.cameras[self.description.sensor_number(sensor)]
+        number = self.description.sensor_number(sensor)
+        return require_clear(self.builder.cameras[number], self.values, self.description.sensors[number].path)
 
     @property
     def luminous(self) -> np.ndarray:
@@ -306,8 +307,7 @@ class Scene:
         vertices and normals of its shape, but for what is named itself: that is kept, and moved by later poses.
 
         Raises:
-            ValueError: vertices, or texels of an environment map, are not finite, or vertices were edited under a pose
-                without an inverse.
+            ValueError: vertices, or texels of a sky, are not finite, or vertices were edited under a singular pose.
         """
         follow(self.builder.tables, self.values)
         if not names and not self._unfinished:

@@ -10,6 +10,7 @@ import numpy as np
 
 from warp_psdr.kernels.constants import FAR
 from warp_psdr.scene.description import FilmDescription, SensorDescription, TimeBins
+from warp_psdr.scene.distortion import FilmPlane, fault, take_distortion
 from warp_psdr.scene.errors import error
 from warp_psdr.scene.media.coefficients import take_medium
 from warp_psdr.scene.origin import moved
@@ -89,11 +90,18 @@ def build(node: dict, where: str, path: str, context: Context) -> SensorDescript
     else:
         props.ignore("focus_distance", reason="without a lens the image is sharp everywhere")
     if not parallel:
-        result.x_fov = x_fov(props, film.width / film.height)
+        result.distortion, result.distortion_numbers = take_distortion(props)
+        aspect = result.distortion_numbers[0] if result.distortion else 1.0
+        result.x_fov = x_fov(props, aspect * film.width / film.height)
         result.principal_point_offset = (
             props.number("principal_point_offset_x", 0.0),
             props.number("principal_point_offset_y", 0.0),
         )
+        if result.distortion:
+            plane = FilmPlane.of(film, result.x_fov, result.principal_point_offset)
+            problem = fault(result.distortion, result.distortion_numbers, plane)
+            if problem:
+                raise error(where, *problem)
     props.finish()
     return result
 

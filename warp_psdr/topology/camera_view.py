@@ -15,8 +15,8 @@ import warp as wp
 
 from warp_psdr.device import launch_on_host
 from warp_psdr.kernels.boundary.film_clip import View, Window, clip_edges
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS, RFILTER_GAUSSIAN
-from warp_psdr.kernels.sensor.film import GAUSSIAN_CUT
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, DISTORTED_CAMERAS, THIN_LENSES
+from warp_psdr.scene.distortion import bounds_of, filter_reach
 
 if TYPE_CHECKING:
     from warp_psdr.kernels.structs import Camera
@@ -35,7 +35,8 @@ class CameraView:
         radius: of the lens, world units; 0 without one.
         focus: distance of the plane in focus, world units.
         scale: (2,) pixels that a unit of camera space's x and y (divided by depth unless orthographic) fills.
-        center: (2,) pixels of the full film at which x and y are zero.
+        center: (2,) pixels of the full film at which x and y are zero; with distortion, of the pinhole's image.
+        bounds: (2, 2) with distortion: least and largest x and y, in those pixels, that the film sees; else None.
     """
 
     camera: Camera
@@ -46,6 +47,7 @@ class CameraView:
     focus: float
     scale: np.ndarray
     center: np.ndarray
+    bounds: np.ndarray | None = None
 
     def numbers(self) -> tuple:
         """Return all that the view depends on, to compare it by."""
@@ -53,6 +55,7 @@ class CameraView:
         window = (c.kind, c.width, c.height, c.crop_x, c.crop_y, c.crop_width, c.crop_height, c.near, c.far)
         film = (c.filter, c.filter_radius, c.filter_stddev, c.sample_border)
         arrays = tuple(a.tobytes() for a in (self.pose, self.eye, self.scale, self.center))
+        arrays += () if self.bounds is None else (self.bounds.tobytes(),)
         return (*window, *film, *arrays, self.finite, self.radius, self.focus)
 
     def towards(self, points: np.ndarray) -> np.ndarray:
@@ -93,8 +96,6 @@ class CameraView:
         camera = self.camera
         size = np.linalg.norm(self.pose[:3, 2])
         far = camera.far if self.finite else camera.near * size + camera.far - camera.near
-        gaussian = camera.filter == RFILTER_GAUSSIAN
-        reach = GAUSSIAN_CUT * camera.filter_stddev if gaussian else camera.filter_radius
         window = Window()
         window.finite = self.finite
         window.near = camera.near / (size if self.finite else 1.0)
@@ -102,7 +103,12 @@ class CameraView:
         window.center = wp.vec2d(*(self.center - [camera.crop_x, camera.crop_y]))
         window.scale = wp.vec2d(*self.scale)
         window.size = wp.vec2d(camera.crop_width, camera.crop_height)
-        window.border = camera.sample_border * max(reach - 0.5, 0.0)
+        window.border = filter_reach(camera)
+        if self.bounds is not None:
+            # Edges are curves on the film, but lines in the pinhole's image: a box there holds all that is seen.
+            window.center = wp.vec2d(*(self.center - self.bounds[0]))
+            window.size = wp.vec2d(*(self.bounds[1] - self.bounds[0]))
+            window.border = 0.0
         window.radius, window.focus = self.radius, self.focus
         window.position = wp.vec3d(*self.pose[:3, 3])
         window.to_camera = wp.mat33d(*np.linalg.inv(self.pose[:3, :3]).reshape(-1).tolist())
@@ -125,9 +131,15 @@ def camera_view(scene: Scene, sensor: int) -> CameraView:
     values = scene.values.numpy()
     pose = values[camera.to_world : camera.to_world + 16].astype(np.float64).reshape(4, 4)
     parallel = camera.kind == CAMERA_ORTHOGRAPHIC
-    lens = camera.kind == CAMERA_THINLENS
+    lens = camera.kind in THIN_LENSES
     k = 1.0 if parallel else np.tan(np.radians(np.float64(values[camera.x_fov])) / 2.0)
     offset = np.zeros(2) if parallel else values[camera.principal : camera.principal + 2].astype(np.float64)
+    scale = np.full(2, 0.5 * camera.width / k)
+    center = np.array([camera.width, camera.height]) * (0.5 - offset)
+    bounds = None
+    if camera.kind in DISTORTED_CAMERAS:
+        low, high = bounds_of(camera, scene.values)
+        bounds = np.stack([center - scale * high, center - scale * low])
     return CameraView(
         camera=camera,
         pose=pose,
@@ -135,6 +147,7 @@ def camera_view(scene: Scene, sensor: int) -> CameraView:
         finite=0.0 if parallel else 1.0,
         radius=float(values[camera.aperture_radius]) if lens else 0.0,
         focus=float(values[camera.focus_distance]) if lens else 1.0,
-        scale=np.full(2, 0.5 * camera.width / k),
-        center=np.array([camera.width, camera.height]) * (0.5 - offset),
+        scale=scale,
+        center=center,
+        bounds=bounds,
     )

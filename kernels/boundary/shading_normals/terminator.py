@@ -15,7 +15,7 @@ from warp_psdr.kernels.boundary.detector import make_incident_radiance
 from warp_psdr.kernels.boundary.film_edge import AHEAD, BESIDE
 from warp_psdr.kernels.boundary.local_form import on_plane
 from warp_psdr.kernels.boundary.media_radiance import make_media_radiance
-from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, CAMERA_THINLENS
+from warp_psdr.kernels.constants import CAMERA_ORTHOGRAPHIC, THIN_LENSES
 from warp_psdr.kernels.distribution import find_interval
 from warp_psdr.kernels.invalid import count_invalid
 from warp_psdr.kernels.jobs import SampleJob
@@ -108,7 +108,7 @@ def make_terminator_kernel(config: PathConfig, role: str, camera_moves: bool):
         if wp.static(parallel):
             finite = wp.float32(0.0)
             eye = -wp.normalize(wp.vec3(m[0, 2], m[1, 2], m[2, 2]))
-        elif wp.static(config.camera == CAMERA_THINLENS):
+        elif wp.static(config.camera in THIN_LENSES):
             eye = lens_origin(m, scene.values[camera.aperture_radius], lens)
         axis = wp.min(wp.int32(3.0 * u4[1]), 2)
         w = u4[2]

@@ -14,15 +14,27 @@ import warp as wp
 from warp_psdr.kernels.boundary.specular.specular_chain import Link, film_point
 from warp_psdr.kernels.constants import (
     CAMERA_ORTHOGRAPHIC,
-    CAMERA_THINLENS,
+    DISTORTED_CAMERAS,
+    FISHEYES,
     LOBE_DELTA_TRANSMISSION,
     LOBE_NULL,
+    THIN_LENSES,
 )
 from warp_psdr.kernels.fresnel import refracted_cosine
 from warp_psdr.kernels.primitive.affine import is_primitive, is_primitive_at
 from warp_psdr.kernels.primitive.dispatch import make_turn
 from warp_psdr.kernels.reading import load_vec3
-from warp_psdr.kernels.sensor.camera import camera_direction, lens_direction, load_mat44, parallel_origin
+from warp_psdr.kernels.sensor.camera import (
+    bent_to_focus,
+    camera_direction,
+    direction_of,
+    half_width,
+    lens_direction,
+    load_mat44,
+    make_pinhole_image,
+    parallel_origin,
+)
+from warp_psdr.kernels.sensor.distortion import load_coefficients, make_distortion
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex_motion import normalize_jvp
 
@@ -46,6 +58,9 @@ class PointDifferential:
 @functools.cache
 def make_film_differential(kind: int):
     """Return ``film_differential(scene, camera, q, lens, step) -> RayDifferential`` by q [pixels] along ``step``."""
+    distorted = kind in DISTORTED_CAMERAS
+    pinhole_image = make_pinhole_image(kind) if distorted else None
+    jacobian = make_distortion(kind in FISHEYES).jacobian if distorted else None
 
     @wp.func
     def film_differential(scene: Scene, camera: Camera, q: wp.vec2, lens: wp.vec2, step: wp.vec2) -> RayDifferential:
@@ -60,11 +75,22 @@ def make_film_differential(kind: int):
             fov = scene.values[camera.x_fov]
             cx = scene.values[camera.principal]
             cy = scene.values[camera.principal + 1]
-            d = camera_direction(m, fov, cx, cy, here[0], here[1], aspect)
-            d_q = camera_direction(m, fov, cx, cy, there[0], there[1], aspect) - d
-            if wp.static(kind == CAMERA_THINLENS):
-                radius = scene.values[camera.aperture_radius]
-                d = lens_direction(m, fov, cx, cy, radius, scene.values[camera.focus_distance], here, lens, aspect)
+            if wp.static(distorted):
+                k = half_width(fov)
+                x = pinhole_image(scene, camera, k, here)
+                moved = -2.0 * k * wp.vec2(there[0] - here[0], (there[1] - here[1]) / aspect)
+                x_q = wp.inverse(jacobian(load_coefficients(scene, camera), x)) * moved
+                d = direction_of(m, x[0], x[1])
+                d_q = direction_of(m, x_q[0], x_q[1]) - wp.vec3(m[0, 2], m[1, 2], m[2, 2])
+                if wp.static(kind in THIN_LENSES):
+                    radius = scene.values[camera.aperture_radius]
+                    d = bent_to_focus(m, d, radius, scene.values[camera.focus_distance], lens)
+            else:
+                d = camera_direction(m, fov, cx, cy, here[0], here[1], aspect)
+                d_q = camera_direction(m, fov, cx, cy, there[0], there[1], aspect) - d
+                if wp.static(kind in THIN_LENSES):
+                    radius = scene.values[camera.aperture_radius]
+                    d = lens_direction(m, fov, cx, cy, radius, scene.values[camera.focus_distance], here, lens, aspect)
             length = wp.length(d)
             d = d / length
             r.d = (d_q - d * wp.dot(d, d_q)) / length

@@ -16,12 +16,12 @@ import warp as wp
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.constants import (
     CAMERA_ORTHOGRAPHIC,
-    CAMERA_THINLENS,
     EMITTER_POINT,
     EMITTER_PROJECTOR,
     LOBE_DELTA_TRANSMISSION,
     LOBE_SMOOTH,
     SPOTS,
+    THIN_LENSES,
 )
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
@@ -33,7 +33,7 @@ from warp_psdr.kernels.light_ray import LightRay, light_vertex, radiance_scale
 from warp_psdr.kernels.reading import emitter_at, triangle_at
 from warp_psdr.kernels.rng import Sampler, make_sampler
 from warp_psdr.kernels.sensor.camera import make_lens
-from warp_psdr.kernels.sensor.projection import FilmPoint, camera_block, make_projection
+from warp_psdr.kernels.sensor.projection import FilmPoint, camera_block, make_area_gradient, make_projection
 from warp_psdr.kernels.sink import make_sink, make_sink_vec3
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.surface import VertexAdjoint, make_vertex_sink, normalize_vjp, point_on
@@ -72,6 +72,7 @@ class LightMotion(NamedTuple):
 @functools.cache
 def make_importance_gradient(kind: int):
     """Return ``importance_gradient(scene, camera, at, x) -> vec3``: gradient of log ``FilmPoint.per_area`` by x."""
+    area_gradient = make_area_gradient(kind)
 
     @wp.func
     def importance_gradient(scene: Scene, camera: Camera, at: FilmPoint, x: wp.vec3) -> wp.vec3:
@@ -82,7 +83,10 @@ def make_importance_gradient(kind: int):
             away = x - at.origin
             inverse = wp.inverse(camera_block(scene, camera))
             depth = wp.vec3(inverse[2, 0], inverse[2, 1], inverse[2, 2])
-            return away / wp.length_sq(away) - (3.0 / at.camera_space[2]) * depth
+            g = away / wp.length_sq(away) - (3.0 / at.camera_space[2]) * depth
+            if wp.static(area_gradient is not None):
+                g += area_gradient(scene, camera, at)
+            return g
 
     return importance_gradient
 
@@ -137,7 +141,7 @@ def make_light_motion(config: PathConfig, wanted: GradientRequest, role: str) ->
     @wp.func
     def lens_of(sampler: Sampler, n: wp.int32) -> wp.vec2:
         lens = wp.vec2(0.0, 0.0)
-        if wp.static(config.camera == CAMERA_THINLENS):
+        if wp.static(config.camera in THIN_LENSES):
             lens = lens_point(sample_2d(sampler, SLOT_FIRST + SLOTS_PER_LIGHT_VERTEX * n + 1))
         return lens
 
