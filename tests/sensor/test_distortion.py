@@ -214,8 +214,8 @@ def test_the_derivative_of_the_importance(name):
     assert np.abs(difference).max() > 0.1
 
 
-#: Samples of each of two images.
-SPP = 64
+#: Samples of a pixel, stratified by Sobol' points.
+SPP = 128
 
 
 def picture(n=9):
@@ -240,7 +240,7 @@ def test_an_image_is_the_undistorted_one_resampled():
     lens = {**OPENCV, **AFFINE, "principal_point_offset_x": 0.03}
     only = psdr.PathIntegrator(max_depth=1)
     distorted = plane({"type": "perspective", "fov": FOV, "film": film, **lens})
-    found = np.stack([psdr.render(distorted, integrator=only, spp=SPP, seed=s).numpy() for s in range(8)])
+    found = psdr.render(distorted, integrator=only, spp=SPP, seed=0).numpy()
     # The pinhole's image, twice as wide as the film.
     size = (wide * WIDTH, wide * HEIGHT)
     fine = {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "box"}}
@@ -265,7 +265,7 @@ def test_an_image_is_the_undistorted_one_resampled():
     expected = (1 - t) * ((1 - s) * image[b, a] + s * image[b, a + 1])
     expected += t * ((1 - s) * image[b + 1, a] + s * image[b + 1, a + 1])
     expected = expected.reshape(HEIGHT, 4, WIDTH, 4, 3).mean(axis=(1, 3))
-    apart = np.abs(found.mean(axis=0) - expected)
+    apart = np.abs(found - expected)
     assert apart.max() < 0.01 and np.ptp(expected) > 0.5
     # Without the lens they are far apart.
     straight = plane({"type": "perspective", "fov": FOV, "film": film})
@@ -283,6 +283,7 @@ def test_a_lens_without_distortion_shows_what_a_pinhole_shows():
     np.testing.assert_allclose(images[1], images[0], atol=1e-4)
 
 
+@pytest.mark.slow
 def test_light_paths_find_the_film_through_a_lens():
     """Light tracing splats where camera rays come from, and with the camera's importance."""
     film = {"type": "hdrfilm", "width": 16, "height": 12, "rfilter": {"type": "box"}}
@@ -341,10 +342,10 @@ def test_an_edit_that_folds_the_film_is_refused():
     params["sensor.k1"] = -0.8
     params.update()
     with pytest.raises(ValueError, match="'sensor': with the values of its parameters the 'opencv' distortion folds"):
-        psdr.render(scene, spp=1)
+        psdr.plan(scene)
     params["sensor.k1"] = -0.1
     params.update()
-    assert np.isfinite(psdr.render(scene, spp=1).numpy()).all()
+    assert "Newton" in str(psdr.plan(scene))
 
 
 def test_film_antithetic_names_what_to_do():
