@@ -85,6 +85,7 @@ def make_importance_gradient(kind: int):
             depth = wp.vec3(inverse[2, 0], inverse[2, 1], inverse[2, 2])
             g = away / wp.length_sq(away) - (3.0 / at.camera_space[2]) * depth
             if wp.static(area_gradient is not None):
+                _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py
                 g += area_gradient(scene, camera, at)
             return g
 
