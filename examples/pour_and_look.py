@@ -1,0 +1,166 @@
+"""Finds how a bob on a spring swings from a film of it that was taken through a glass of water.
+
+    python examples/pour_and_look.py            # two minutes on two cores
+    python examples/pour_and_look.py --quick    # fewer frames and pixels, rougher
+
+The bob sways behind the glass, which turns left into right, stretches and hides; no pixel sees the bob directly. The
+simulation is a Warp kernel, and frames of it are rendered on the same tape. The gradient reaches the logarithms of four
+numbers, the spring's stiffness, damping, and the angle and velocity at the start, through glass and water: what moves
+in a frame are outlines behind four surfaces that refract.
+
+Leaves in ``out/pour/``: ``film.gif`` (the film, and what was found, beside it), ``result.png`` (frames of the film,
+of the start and of what was found) and ``report.json``.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+
+import numpy as np
+import recovery
+import trimesh
+import warp as wp
+
+import warp_psdr as psdr
+from warp_psdr import plots
+
+ROOT = Path(__file__).resolve().parents[1]
+#: One path a pixel looks for outlines behind glass, which takes most of the time; one for other edges.
+OUTLINES = psdr.boundary.PathSpace(spp_mirrors=1, spp_primary=1, spp_secondary=1)
+INTEGRATOR = psdr.PathIntegrator(max_depth=9, rr_depth=9, boundary=OUTLINES)
+#: What is sought: stiffness, 1/s², and damping, 1/s, over the moment of inertia; angle, rad, and velocity, rad/s.
+NUMBERS = ("stiffness", "damping", "angle", "velocity")
+TRUTH, START = np.float32([400.0, 3.0, 0.5, 3.0]), np.float32([460.0, 4.0, 0.4, 4.0])
+#: The rod's length, m; gravity, m/s²; where the rod is hinged, m; steps from frame to frame; seconds of the film.
+LENGTH, GRAVITY, HINGE, SUBSTEPS, SECONDS = 0.06, 9.81, wp.constant(wp.vec3(0.0, 0.006, -0.2)), 8, 0.8
+#: Of gravity against the spring, 1/s².
+FALL = wp.constant(GRAVITY / LENGTH)
+#: First seed of the film, which no step uses; share of the frames that a step looks at.
+FILM_SEED, LOOKED_AT = 2**32 - 1000, 5
+
+
+@wp.kernel
+def let_go(logarithms: wp.array(dtype=float), state_out: wp.array(dtype=wp.vec2)):
+    """Angle and velocity at the start."""
+    state_out[0] = wp.vec2(wp.exp(logarithms[2]), wp.exp(logarithms[3]))
+
+
+@wp.kernel
+def sway(
+    logarithms: wp.array(dtype=float), state: wp.array(dtype=wp.vec2), dt: float, state_out: wp.array(dtype=wp.vec2)
+):
+    """A step of the swing: a spring holds the rod upright, gravity pulls it down."""
+    angle, velocity = state[0][0], state[0][1]
+    force = FALL * wp.sin(angle) - wp.exp(logarithms[0]) * angle - wp.exp(logarithms[1]) * velocity
+    after = velocity + dt * force
+    state_out[0] = wp.vec2(angle + dt * after, after)
+
+
+@wp.kernel
+def pose(state: wp.array(dtype=wp.vec2), pose_out: wp.array(dtype=wp.transform)):
+    """Where the rod and the bob on it are; upright at the angle zero."""
+    pose_out[wp.tid()] = wp.transform(HINGE, wp.quat_from_axis_angle(wp.vec3(0.0, 0.0, -1.0), state[0][0]))
+
+
+def turned(radius: float, low: float, high: float, inside: float, outside: float) -> dict:
+    """Return a closed cylinder with round corners, of one index of refraction, in another; it is a single lens."""
+    corner, angle = 0.002, np.linspace(0.0, np.pi / 2, 6)
+    across, up = radius - corner * (1.0 - np.sin(angle)), corner * (1.0 - np.cos(angle))
+    rings = [(0.0, low), *zip(across, low + up, strict=True), (radius, low + 2.0 * corner)]
+    rings += [(radius, high - 2.0 * corner), *zip(across[::-1], high - up[::-1], strict=True), (0.0, high)]
+    mesh = trimesh.creation.revolve(rings, sections=64)
+    vertices, faces = np.float32(mesh.vertices[:, [1, 2, 0]]), np.int32(mesh.faces)
+    glass = {"type": "dielectric", "int_ior": inside, "ext_ior": outside}
+    return {"type": "mesh", "vertices": vertices, "faces": faces, "bsdf": glass}
+
+
+def load(width: int) -> psdr.Parameters:
+    """Return the parameters of a scene with a glass of water on a table, and a bob behind it."""
+    t, bob = psdr.Transform, [0.0, LENGTH, 0.0]
+    film = {"type": "hdrfilm", "width": width, "height": width, "rfilter": {"type": "box"}}
+    view = t.look_at([0.0, 0.1, 0.53], [0.0, 0.055, 0.0], [0, 1, 0])
+    lamp = t.look_at([-0.1, 0.7, 0.2], [0.0, 0.0, -0.15], [0, 1, 0]) @ t.scale(0.16)
+    paint = lambda *rgb: {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(rgb)}}  # noqa: E731
+    scene = {
+        "type": "scene",
+        "sensor": {"type": "perspective", "fov": 13.5, "to_world": view, "film": film},
+        "table": {"type": "rectangle", "to_world": t.rotate([1, 0, 0], -90) @ t.scale(2), "bsdf": paint(0.55, 0.4, 0.28)},
+        "wall": {"type": "rectangle", "to_world": t.translate([0, 0, -0.6]) @ t.scale(2), "bsdf": paint(0.35, 0.5, 0.6)},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area", "radiance": 9.0}},
+        "sky": {"type": "constant", "radiance": 0.3},
+        "glass": turned(0.04, 0.0005, 0.115, 1.5, 1.0),
+        "water": turned(0.037, 0.0025, 0.1, 1.33, 1.5),
+        "air": turned(0.037, 0.1002, 0.1148, 1.0, 1.5),
+        "bob": {"type": "sphere", "center": bob, "radius": 0.012, "resolution": 16, "bsdf": paint(0.85, 0.15, 0.08)},
+        "rod": {"type": "cylinder", "radius": 0.0015, "p0": [0, 0, 0], "p1": bob, "bsdf": paint(0.1, 0.1, 0.1)},
+    }
+    return psdr.traverse(psdr.load_dict(scene))
+
+
+class Swing:
+    """A bob on a spring, and the film of it."""
+
+    def __init__(self, params: psdr.Parameters, frames: int):
+        self.params, self.frames, self.dt = params, frames, SECONDS / (frames * SUBSTEPS)
+        self.local = {name: params[name].numpy().copy() for name in ("bob.to_world", "rod.to_world")}
+        self.logarithms = wp.array(np.log(START), dtype=float, device="cpu", requires_grad=True)
+
+    def film(self, seed: int, spp: int, shown: list[int] | None = None) -> list[wp.array]:
+        """Simulate, and return images of the frames that are shown; all of them by default."""
+
+        def new(dtype: type, count: int = 1) -> wp.array:
+            return wp.zeros(count, dtype=dtype, device="cpu", requires_grad=True)
+
+        now, images, scene = new(wp.vec2), [], self.params.scene
+        wp.launch(let_go, 1, [self.logarithms, now], device="cpu")
+        for frame in range(self.frames):
+            if shown is None or frame in shown:
+                at = new(wp.transform, 2)
+                wp.launch(pose, 2, [now, at], device="cpu")
+                psdr.bind(self.params, {tuple(self.local): at}, local=self.local)
+                samples = {"spp": spp, "spp_grad": max(spp // 16, 1), "seed": seed + frame}
+                images.append(psdr.render(scene, self.params, integrator=INTEGRATOR, **samples))
+            for _ in range(SUBSTEPS):
+                after = new(wp.vec2)
+                wp.launch(sway, 1, [self.logarithms, now, self.dt, after], device="cpu")
+                now = after
+        return images
+
+
+def main(
+    folder: Path = ROOT / "out" / "pour", *, width: int = 48, frames: int = 24, steps: int = 64, spp: int = 64
+) -> dict:
+    """Recover the numbers, write the pictures and return the report."""
+    began = time.perf_counter()
+    folder.mkdir(parents=True, exist_ok=True)
+    swing = Swing(load(width), frames)
+    first = [image.numpy() for image in swing.film(FILM_SEED + frames, 4 * spp)]
+    swing.logarithms.assign(np.log(TRUTH))
+    given = [image.numpy() for image in swing.film(FILM_SEED, 4 * spp)]
+    swing.logarithms.assign(np.log(START))
+
+    def told(step: int) -> None:
+        if (step + 1) % 5 == 0:
+            ratios = np.exp(swing.logarithms.numpy()) / TRUTH
+            print(f"step {step + 1}: found / sought {ratios.round(3)}", flush=True)
+
+    recovery.fit_film(swing.film, given, swing.logarithms, steps=steps, spp=spp, rate=0.08, share=LOOKED_AT, told=told)
+    found = [image.numpy() for image in swing.film(FILM_SEED + 2 * frames, 4 * spp)]
+    times = np.linspace(0, frames - 1, 6).astype(int)
+    films = {"film": given, "start": first, "found": found}
+    titles = [f"{name}, {k * SECONDS / frames:.2f} s" for name in films for k in times]
+    plots.side_by_side(folder / "result.png", [film[k] for film in films.values() for k in times], titles, columns=6)
+    recovery.write_film(folder / "film.gif", [given, found], SECONDS)
+    numbers, table = np.exp(swing.logarithms.numpy()), {}
+    for name, start, value, truth in zip(NUMBERS, START, numbers, TRUTH, strict=True):
+        table[name] = [round(float(x), 4) for x in (start, value, truth, abs(value / truth - 1.0))]
+    report = {f"{name}: start, found, sought, error": values for name, values in table.items()}
+    report |= {"worst error": max(v[-1] for v in table.values()), "seconds": round(time.perf_counter() - began, 1)}
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    return report
+
+
+if __name__ == "__main__":
+    recovery.run(main, __doc__, {"width": 32, "frames": 12, "steps": 40})
