@@ -3,10 +3,9 @@
     python examples/pour_and_look.py            # two minutes on two cores
     python examples/pour_and_look.py --quick    # fewer frames and pixels, rougher
 
-The bob sways behind the glass, which turns left into right, stretches and hides; no pixel sees the bob directly. The
-simulation is a Warp kernel, and frames of it are rendered on the same tape. The gradient reaches the logarithms of three
-numbers, the spring's stiffness, damping, and the angle at the start, through glass and water: what moves in a frame are
-outlines behind four surfaces that refract.
+The bob sways behind the glass, which swaps left and right and stretches; no pixel beside the glass shows it. The
+simulation is a Warp kernel, and frames of it are rendered on the same tape. The gradient reaches the logarithms of
+stiffness, damping, and the angle at the start through outlines that are seen behind four surfaces that refract.
 
 Leaves in ``out/pour/``: ``film.gif`` (the film, and what was found, beside it), ``result.png`` (frames of the film,
 of the start and of what was found) and ``report.json``.
@@ -14,7 +13,6 @@ of the start and of what was found) and ``report.json``.
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 
@@ -24,7 +22,6 @@ import trimesh
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr import plots
 
 ROOT = Path(__file__).resolve().parents[1]
 #: One path a pixel looks for outlines behind glass, which takes most of the time; one for other edges.
@@ -35,7 +32,7 @@ NUMBERS = ("stiffness", "damping", "angle")
 TRUTH, START = np.float32([400.0, 3.0, 0.5]), np.float32([460.0, 4.0, 0.38])
 #: The rod's length, m; gravity, m/s²; where the rod is hinged, m; steps from frame to frame; seconds of the film.
 LENGTH, GRAVITY, HINGE, SUBSTEPS, SECONDS = 0.06, 9.81, wp.constant(wp.vec3(0.0, 0.006, -0.2)), 8, 0.8
-#: Of gravity against the spring, 1/s².
+#: What gravity does against the spring, 1/s².
 FALL = wp.constant(GRAVITY / LENGTH)
 #: First seed of the film, which no step uses; share of the frames that a step looks at.
 FILM_SEED, LOOKED_AT = 2**32 - 1000, 5
@@ -83,20 +80,13 @@ def load(width: int) -> psdr.Parameters:
     view = t.look_at([0.0, 0.1, 0.53], [0.0, 0.055, 0.0], [0, 1, 0])
     lamp = t.look_at([-0.1, 0.7, 0.2], [0.0, 0.0, -0.15], [0, 1, 0]) @ t.scale(0.16)
     paint = lambda *rgb: {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(rgb)}}  # noqa: E731
+    square = lambda at, **more: {"type": "rectangle", "to_world": at, **more}  # noqa: E731
     scene = {
         "type": "scene",
         "sensor": {"type": "perspective", "fov": 13.5, "to_world": view, "film": film},
-        "table": {
-            "type": "rectangle",
-            "to_world": t.rotate([1, 0, 0], -90) @ t.scale(2),
-            "bsdf": paint(0.55, 0.4, 0.28),
-        },
-        "wall": {
-            "type": "rectangle",
-            "to_world": t.translate([0, 0, -0.6]) @ t.scale(2),
-            "bsdf": paint(0.35, 0.5, 0.6),
-        },
-        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": {"type": "area", "radiance": 9.0}},
+        "table": square(t.rotate([1, 0, 0], -90) @ t.scale(2), bsdf=paint(0.55, 0.4, 0.28)),
+        "wall": square(t.translate([0, 0, -0.6]) @ t.scale(2), bsdf=paint(0.35, 0.5, 0.6)),
+        "lamp": square(lamp, emitter={"type": "area", "radiance": 9.0}),
         "sky": {"type": "constant", "radiance": 0.3},
         "glass": turned(0.04, 0.0005, 0.115, 1.5, 1.0),
         "water": turned(0.037, 0.0025, 0.1, 1.33, 1.5),
@@ -148,26 +138,11 @@ def main(
     swing.logarithms.assign(np.log(TRUTH))
     given = [image.numpy() for image in swing.film(FILM_SEED, 4 * spp)]
     swing.logarithms.assign(np.log(START))
-
-    def told(step: int) -> None:
-        if (step + 1) % 5 == 0:
-            ratios = np.exp(swing.logarithms.numpy()) / TRUTH
-            print(f"step {step + 1}: found / sought {ratios.round(3)}", flush=True)
-
+    told = recovery.tell_ratios(swing.logarithms, TRUTH)
     recovery.fit_film(swing.film, given, swing.logarithms, steps=steps, spp=spp, rate=0.06, share=LOOKED_AT, told=told)
     found = [image.numpy() for image in swing.film(FILM_SEED + 2 * frames, 4 * spp)]
-    times = np.linspace(0, frames - 1, 6).astype(int)
-    films = {"film": given, "start": first, "found": found}
-    titles = [f"{name}, {k * SECONDS / frames:.2f} s" for name in films for k in times]
-    plots.side_by_side(folder / "result.png", [film[k] for film in films.values() for k in times], titles, columns=6)
-    recovery.write_film(folder / "film.gif", [given, found], SECONDS)
-    numbers, table = np.exp(swing.logarithms.numpy()), {}
-    for name, start, value, truth in zip(NUMBERS, START, numbers, TRUTH, strict=True):
-        table[name] = [round(float(x), 4) for x in (start, value, truth, abs(value / truth - 1.0))]
-    report = {f"{name}: start, found, sought, error": values for name, values in table.items()}
-    report |= {"worst error": max(v[-1] for v in table.values()), "seconds": round(time.perf_counter() - began, 1)}
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+    recovery.draw_films(folder, {"film": given, "start": first, "found": found}, SECONDS)
+    return recovery.number_report(folder, NUMBERS, np.exp(swing.logarithms.numpy()), TRUTH, began)
 
 
 if __name__ == "__main__":
