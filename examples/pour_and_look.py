@@ -73,8 +73,8 @@ def turned(radius: float, low: float, high: float, inside: float, outside: float
     return {"type": "mesh", "vertices": vertices, "faces": faces, "bsdf": glass}
 
 
-def load(width: int) -> psdr.Parameters:
-    """Return the parameters of a scene with a glass of water on a table, and a bob behind it."""
+def load(width: int, fov: float = 13.5) -> psdr.Parameters:
+    """Return the parameters of a scene with a glass of water on a table, and a bob behind it; degrees."""
     t, bob = psdr.Transform, [0.0, LENGTH, 0.0]
     film = {"type": "hdrfilm", "width": width, "height": width, "rfilter": {"type": "box"}}
     view = t.look_at([0.0, 0.1, 0.53], [0.0, 0.055, 0.0], [0, 1, 0])
@@ -83,7 +83,7 @@ def load(width: int) -> psdr.Parameters:
     square = lambda at, **more: {"type": "rectangle", "to_world": at, **more}  # noqa: E731
     scene = {
         "type": "scene",
-        "sensor": {"type": "perspective", "fov": 13.5, "to_world": view, "film": film},
+        "sensor": {"type": "perspective", "fov": fov, "to_world": view, "film": film},
         "table": square(t.rotate([1, 0, 0], -90) @ t.scale(2), bsdf=paint(0.55, 0.4, 0.28)),
         "wall": square(t.translate([0, 0, -0.6]) @ t.scale(2), bsdf=paint(0.35, 0.5, 0.6)),
         "lamp": square(lamp, emitter={"type": "area", "radiance": 9.0}),
