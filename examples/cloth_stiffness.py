@@ -14,7 +14,6 @@ of the start and of what was found) and ``report.json``.
 from __future__ import annotations
 
 import itertools
-import json
 import time
 from pathlib import Path
 
@@ -24,7 +23,6 @@ import recovery
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr import plots
 
 ROOT = Path(__file__).resolve().parents[1]
 INTEGRATOR = psdr.PathIntegrator(max_depth=2)
@@ -110,27 +108,11 @@ def main(
     cloth.logarithms.assign(np.log(TRUTH))
     given = [image.numpy() for image in cloth.film(FILM_SEED, 16 * spp)]
     cloth.logarithms.assign(np.log(START))
-
-    def told(step: int) -> None:
-        if (step + 1) % 5 == 0:
-            ratios = np.exp(cloth.logarithms.numpy()) / TRUTH
-            print(f"step {step + 1}: found / sought {ratios.round(3)}", flush=True)
-
+    told = recovery.tell_ratios(cloth.logarithms, TRUTH)
     recovery.fit_film(cloth.film, given, cloth.logarithms, steps=steps, spp=spp, rate=0.08, share=LOOKED_AT, told=told)
     found = [image.numpy() for image in cloth.film(FILM_SEED + 2 * frames, 16 * spp)]
-    times = np.linspace(0, frames - 1, 6).astype(int)
-    films = {"film": given, "start": first, "found": found}
-    titles = [f"{name}, {(k + 1) * SECONDS / frames:.2f} s" for name in films for k in times]
-    plots.side_by_side(folder / "result.png", [film[k] for film in films.values() for k in times], titles, columns=6)
-    recovery.write_film(folder / "film.gif", [given, found], SECONDS)
-    numbers = np.exp(cloth.logarithms.numpy())
-    report = {
-        "found": dict(zip(NUMBERS, numbers.tolist(), strict=True)),
-        "errors": dict(zip(NUMBERS, np.abs(numbers / TRUTH - 1.0).tolist(), strict=True)),
-        "seconds": round(time.perf_counter() - began, 1),
-    }
-    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    return report
+    recovery.draw_films(folder, {"film": given, "start": first, "found": found}, SECONDS, SECONDS / frames)
+    return recovery.number_report(folder, NUMBERS, np.exp(cloth.logarithms.numpy()), TRUTH, began)
 
 
 if __name__ == "__main__":

@@ -54,6 +54,22 @@ def write_film(path: Path, films: list[list[np.ndarray]], seconds: float, enlarg
     big[0].save(path, save_all=True, append_images=big[1:], duration=1000.0 * seconds / len(big), loop=0)
 
 
+def draw_films(folder: Path, films: dict[str, list[np.ndarray]], seconds: float, first: float = 0.0) -> None:
+    """Draw six frames of each film, and write the first and the last film beside each other.
+
+    Args:
+        folder: gets ``result.png`` and ``film.gif``.
+        films: frames (H, W, 3) by name; all have equal numbers.
+        seconds: how long they run.
+        first: when the first frame is, s.
+    """
+    frames = len(next(iter(films.values())))
+    shown = np.linspace(0, frames - 1, 6).astype(int)
+    titles = [f"{name}, {first + k * seconds / frames:.2f} s" for name in films for k in shown]
+    plots.side_by_side(folder / "result.png", [film[k] for film in films.values() for k in shown], titles, columns=6)
+    write_film(folder / "film.gif", [films[name] for name in (*films,)[:: len(films) - 1]], seconds)
+
+
 def fit_film(
     film: Callable[[int, int, list[int]], list[wp.array]],
     given: list[np.ndarray],
@@ -92,6 +108,38 @@ def fit_film(
         optimiser.step([numbers.grad])
         tape.zero()  # a simulator's own arrays have gradients, too
         told(step)
+
+
+def tell_ratios(logarithms: wp.array, truth: np.ndarray) -> Callable[[int], None]:
+    """Return what prints numbers over those that are sought, every fifth step."""
+
+    def told(step: int) -> None:
+        if (step + 1) % 5 == 0:
+            print(f"step {step + 1}: found / sought {(np.exp(logarithms.numpy()) / truth).round(3)}", flush=True)
+
+    return told
+
+
+def number_report(folder: Path, names: tuple[str, ...], found: np.ndarray, truth: np.ndarray, began: float) -> dict:
+    """Write how far off numbers are.
+
+    Args:
+        folder: gets ``report.json``.
+        names: of the numbers.
+        found: the numbers.
+        truth: what is sought.
+        began: ``time.perf_counter()`` of the beginning.
+
+    Returns:
+        The report.
+    """
+    report = {
+        "found": dict(zip(names, found.tolist(), strict=True)),
+        "errors": dict(zip(names, np.abs(found / truth - 1.0).tolist(), strict=True)),
+        "seconds": round(time.perf_counter() - began, 1),
+    }
+    (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    return report
 
 
 @wp.kernel

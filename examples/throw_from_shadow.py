@@ -22,7 +22,6 @@ import recovery
 import warp as wp
 
 import warp_psdr as psdr
-from warp_psdr import plots
 
 ROOT = Path(__file__).resolve().parents[1]
 #: Velocity at the start, m/s: sought, and to start from; where the ball is then, m.
@@ -124,11 +123,7 @@ def main(
 
     recovery.fit_film(flight.film, given, flight.velocity, steps=steps, spp=spp, rate=0.1, share=LOOKED_AT, told=told)
     found = [image.numpy() for image in flight.film(FILM_SEED + 2 * frames, 16 * spp)]
-    times = np.linspace(0, frames - 1, 6).astype(int)
-    films = {"film": given, "start": first, "found": found}
-    titles = [f"{name}, {k * SECONDS / frames:.2f} s" for name in films for k in times]
-    plots.side_by_side(folder / "result.png", [film[k] for film in films.values() for k in times], titles, columns=6)
-    recovery.write_film(folder / "film.gif", [given, found], SECONDS)
+    recovery.draw_films(folder, {"film": given, "start": first, "found": found}, SECONDS)
     report = {
         "velocity": flight.velocity.numpy()[0].tolist(),
         "error": errors[-1],

@@ -139,6 +139,31 @@ def test_cloth_is_found_from_its_film(example, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+def test_swing_is_found_through_the_glass(example, tmp_path: Path) -> None:
+    module = example("pour_and_look")
+    report = module.main(tmp_path, width=32, frames=12, steps=30, spp=64)
+    assert max(report["errors"].values()) < 0.1 < np.abs(module.START / module.TRUTH - 1.0).min()
+    assert json.loads((tmp_path / "report.json").read_text()) == report
+    assert contrast(tmp_path / "result.png") > 0.05
+    from PIL import Image
+
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.n_frames == 12 and film.size == (256, 128)
+
+
+@pytest.mark.slow
+def test_only_the_glass_shows_the_swing(example) -> None:
+    module = example("pour_and_look")
+    swing, seen = module.Swing(module.load(32), 6), []
+    for albedo in (0.0, 1.0):  # what changes beside the glass is light that the bob sends to table and wall
+        swing.params["bob.bsdf.reflectance.value"] = albedo
+        seen.append(np.stack([image.numpy() for image in swing.film(1, 64)]))
+    change = np.abs(seen[1] - seen[0]).sum(axis=(0, 3))
+    glass = slice(5, 27)  # columns
+    assert change[:, glass].sum() > 0.95 * change.sum()
+
+
+@pytest.mark.slow
 def test_arm_and_camera_are_found(example, tmp_path: Path) -> None:
     pytest.importorskip("newton")
     report = example("robot_pose").main(tmp_path, width=48, steps=90, spp=16)
