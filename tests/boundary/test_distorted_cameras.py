@@ -125,7 +125,7 @@ def test_the_rows_can_tell_a_missing_boundary_term(case: Case) -> None:
 @pytest.mark.parametrize(
     ("name", "names"),
     [
-        ("bent silhouette", [SHAPE, POSE, *(f"sensor.{n}" for n in STEPS)]),
+        pytest.param("bent silhouette", [SHAPE, POSE, *(f"sensor.{n}" for n in STEPS)], marks=pytest.mark.slow),
         pytest.param("bent", [OCCLUDER, FLOOR, POSE, "sensor.k1", "sensor.skew"], marks=pytest.mark.slow),
         pytest.param("bent lens", [SHAPE, POSE, RADIUS, *(f"sensor.{n}" for n in STEPS)], marks=pytest.mark.slow),
         pytest.param("bent mirror", [LAMP, WALL, POSE, "sensor.k1", "sensor.p2"], marks=pytest.mark.slow),
@@ -137,6 +137,7 @@ def test_the_modes_are_transposes_of_each_other(name, names) -> None:
     assert_transposes(scene, params, names, {"integrator": psdr.PathIntegrator(max_depth=2), "spp": 16, "seed": 3})
 
 
+@pytest.mark.slow
 def test_a_coefficient_moves_nothing_where_all_is_alike() -> None:
     scene, params = load("bent sky")
     image = psdr.render_forward(scene, params, {"sensor.k1": 1.0}, spp=16, seed=0).numpy()
