@@ -131,3 +131,21 @@ def test_slopes_of_the_arm_and_its_camera(example):
         return [robot.picture(seed, spp)]
 
     assert_slopes(*compare(pictures, robot.sought, base, weights, seeds=10, spp=2048, step=0.02))
+
+
+@pytest.mark.slow
+def test_slopes_of_the_throw(example):
+    """By the three numbers of the velocity; two frames of the shadow."""
+    module, shown = example("throw_from_shadow"), [6, 15]
+    flight = module.Flight(module.load(24), 24)
+
+    def pictures(seed, spp):
+        return flight.film(seed, spp, shown)
+
+    base = module.START.astype(float) + np.array([0.2, -0.1, 0.2])
+    films = []
+    for numbers in (base, module.START):
+        flight.velocity.assign(np.float32(numbers)[None])
+        films.append([image.numpy() for image in pictures(module.FILM_SEED, 256)])
+    weights = loss_weights(*films)
+    assert_slopes(*compare(pictures, [flight.velocity], base, weights, seeds=12, spp=1024, step=0.04))
