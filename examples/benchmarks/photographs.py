@@ -110,7 +110,7 @@ class Coverage:
             warnings.simplefilter("ignore", RuntimeWarning)  # of residuals, which these problems have on purpose
             found = psdr.solve(self.scene, self.params, observed, unknowns=unknowns, spp=SPP, seed=number)
         pose = self.params[POSE].numpy().astype(float)
-        turned = Rotation.from_matrix(pose[:3, :3] @ truth[:3, :3].T, assume_valid=False).as_rotvec()
+        turned = Rotation.from_matrix(pose[:3, :3] @ truth[:3, :3].T).as_rotvec()
         low, high = found.interval()
         return np.append(turned, pose[:3, 3] - truth[:3, 3]) / (0.5 * (high - low)[:6]), len(found.steps)
 

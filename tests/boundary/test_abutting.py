@@ -94,7 +94,7 @@ register(
         "wall before a floor": behind,
         "stairs": stairs,
         "flush boxes": flush,
-        "post": post,
+        "sunk post": post,
     }
     | {"shelf": lambda: shelf(panel((0.2, 1.6, 2.8), 0.2)), "shelf in the sun": lambda: shelf(sun())}
 )
@@ -106,8 +106,8 @@ CASES = [
     Case("wall on a border", BOTH, moved(1.0, 0.2, 0.3), 0.02, "both move", 2, 1024, 4096),
     Case("wall before a floor", "sensor.to_world", pans, 0.02, "seen in passing", 2, 512, 2048),
     Case("stairs", BOTH, moved(1.0, 0.2, 0.0), 0.02, "both slide", spp=1024, difference_spp=2048),
-    Case("post", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048, slow=False),
-    Case("post", "shape.vertex_positions", moved(0.0, 1.0, 0.0), 0.01, "slides", 2, 512, 2048),
+    Case("sunk post", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048, slow=False),
+    Case("sunk post", "shape.vertex_positions", moved(0.0, 1.0, 0.0), 0.01, "slides", 2, 512, 2048),
     Case("flush boxes", "sensor.to_world", pans, 0.01, "seen in passing", 2, 512, 2048),
     Case("flush boxes", BOTH, moved(1.0, 0.2, 0.0), 0.01, "both slide", 2, 1024, 4096),
 ]
