@@ -148,4 +148,4 @@ def test_slopes_of_the_throw(example):
         flight.velocity.assign(np.float32(numbers)[None])
         films.append([image.numpy() for image in pictures(module.FILM_SEED, 256)])
     weights = loss_weights(*films)
-    assert_slopes(*compare(pictures, [flight.velocity], base, weights, seeds=12, spp=1024, step=0.04))
+    assert_slopes(*compare(pictures, [flight.velocity], base, weights, seeds=12, spp=2048, step=0.04))
