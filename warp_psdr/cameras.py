@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 __all__ = ["from_colmap", "from_nerfstudio", "from_opencv"]
 
@@ -68,7 +69,8 @@ def from_opencv(
         ValueError: shapes are wrong, R is no rotation, or ``dist`` has coefficients that are not supported.
     """
     matrix, rotation, move = _array("K", K, (3, 3)), np.asarray(R, np.float64), _array("t", t, (3,))
-    rotation = _rotation_of(rotation.reshape(-1)) if rotation.size == 3 else _array("R", R, (3, 3))
+    turned = rotation.size == 3
+    rotation = Rotation.from_rotvec(rotation.reshape(-1)).as_matrix() if turned else _array("R", R, (3, 3))
     if abs(rotation @ rotation.T - np.eye(3)).max() > _ROTATION or np.linalg.det(rotation) < 0.0:
         raise ValueError("from_opencv: R is no rotation; give the (3, 3) matrix or the (3,) vector of a pose")
     if abs(matrix[[1, 2, 2], [0, 0, 1]]).max() > 0.0 or matrix[2, 2] != 1.0 or min(matrix[0, 0], matrix[1, 1]) <= 0.0:
@@ -143,14 +145,6 @@ def _array(name: str, value: Any, shape: tuple[int, ...]) -> np.ndarray:
     if found.shape != shape or not np.isfinite(found).all():
         raise ValueError(f"from_opencv: {name} has the shape {found.shape}; expected {shape}, finite")
     return found
-
-
-def _rotation_of(vector: np.ndarray) -> np.ndarray:
-    """Return the rotation by a vector's length about it."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector / angle if angle > 0.0 else np.zeros(3)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.eye(3) + np.sin(angle) * cross + (1.0 - np.cos(angle)) * (cross @ cross)
 
 
 def _coefficients(given: Sequence[float], fisheye: bool) -> dict[str, float]:
@@ -287,14 +281,8 @@ def _colmap_sensor(name: str, pose: np.ndarray, lenses: dict[int, _Lens], camera
     if camera not in lenses:
         raise ValueError(f"{name}: the photograph's camera {camera} is not in the file of cameras")
     model, size, values = lenses[camera]
-    w, x, y, z = pose[:4] / np.linalg.norm(pose[:4])
-    rotation = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    w, x, y, z = pose[:4]
+    rotation = Rotation.from_quat([x, y, z, w]).as_matrix()
     to_world = np.eye(4)
     to_world[:3, :3], to_world[:3, 3] = rotation.T @ _FROM_OPENCV, -rotation.T @ pose[4:]
     # COLMAP's principal point counts from the corner of the image, as ours.

@@ -134,8 +134,9 @@ def _mesh(mesh: Mesh, bsdf: dict[str, Any], smooth: bool) -> dict[str, Any]:
     shape: dict[str, Any] = {"type": "mesh", "vertices": mesh.vertices.astype(np.float32), "bsdf": bsdf}
     shape["faces"] = mesh.faces.astype(np.int32)
     normals = getattr(mesh.source, "normals", None)
-    if _texcoords(mesh.source) is not None:
-        shape["texcoords"] = _texcoords(mesh.source)
+    texcoords = _texcoords(mesh.source)
+    if texcoords is not None:
+        shape["texcoords"] = texcoords
     if normals is not None and len(normals) == len(mesh.vertices):
         return shape | {"normals": np.float32(normals)}
     return shape | ({} if smooth and mesh.bends else {"face_normals": True})
@@ -174,7 +175,7 @@ def _points(numbers: np.ndarray, device: wp.Device, offsets: np.ndarray | None =
 
 
 def _balls(places: np.ndarray, radii: np.ndarray, which: np.ndarray) -> tuple[Mesh, np.ndarray, np.ndarray]:
-    """Return a ball for each of the particles, as one mesh; of its vertices the particle, and the way from there."""
+    """Return a ball for each of the particles, as one mesh, and each vertex's particle and way from there."""
     one = trimesh.creation.icosphere(subdivisions=2 if len(which) <= FEW else 1)
     n = len(one.vertices)
     numbers = np.repeat(which, n)

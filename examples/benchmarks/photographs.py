@@ -23,6 +23,8 @@ from common import Report, arguments, psdr
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from warp_psdr.scene.distortion import undistort
+
 T = psdr.Transform
 POSE = "board.to_world"
 #: Coverage: film, samples of a derivative, of a photograph.
@@ -193,16 +195,12 @@ class Board:
         return ((np.abs(x) < INSIDE[0] * SQUARE) & (np.abs(y) < INSIDE[1] * SQUARE)).astype(float)
 
     def directions(self) -> np.ndarray:
-        """Return directions of pixels: bends are undone by fixed-point steps."""
+        """Return directions of pixels, OpenCV's axes."""
         y, x = np.mgrid[0:480, 0:640]
         bent = np.stack([(x - self.lens[0, 2]) / self.lens[0, 0], (y - self.lens[1, 2]) / self.lens[1, 1]], axis=-1)
-        k1, k2, p1, p2, k3 = self.bends
-        plain = bent.copy()
-        for _step in range(20):
-            r2 = (plain**2).sum(axis=-1, keepdims=True)
-            u, v = plain[..., :1], plain[..., 1:]
-            aside = np.concatenate([2 * p1 * u * v + p2 * (r2 + 2 * u * u), p1 * (r2 + 2 * v * v) + 2 * p2 * u * v], -1)
-            plain = (bent - aside) / (1.0 + k1 * r2 + k2 * r2**2 + k3 * r2**3)
+        # The renderer's axes point to the left and up.
+        numbers = np.concatenate([[1.0, 0.0], self.bends, np.zeros(3)])
+        plain = -undistort("opencv", numbers, -bent.reshape(-1, 2)).reshape(bent.shape)
         return np.concatenate([plain, np.ones((480, 640, 1))], axis=-1)
 
 

@@ -72,8 +72,9 @@ class FilmEdge:
 def rays_beside(scene: Scene, edges: Edges, f: FilmEdge) -> tuple[wp.float32, wp.float32, wp.bool]:
     """How two rays look past an edge of a mesh: distance from it, length in front of it, whether its face is narrow.
 
-    A narrow one is missed by rays at that distance. Of interpolated normals a part of the face turns away from the
-    camera, whose terminator counts if it is seen at ``BESIDE`` (``shading_normals/terminator.py``): edges look as far.
+    A narrow one is missed by rays at that distance. With interpolated normals a part of the face turns away from the
+    camera. The terminator in between counts if it is seen at ``BESIDE`` (``shading_normals/terminator.py``), so that
+    edges look as far.
     """
     if edges.ends[f.point.edge, 0] == STEP:
         beside = BESIDE_STEP * f.step

@@ -163,6 +163,12 @@ def assert_agrees(derivative: np.ndarray, difference: np.ndarray) -> None:
     assert abs(value - 1.0) <= STANDARD_ERRORS * error + REMAINDER, f"z-test: slope {value:.4f} +- {error:.4f}"
 
 
+def assert_needs_boundary(case: Case) -> None:
+    """Fail if the interior term alone is about as good: the row could not tell that the boundary term is missing."""
+    value, error = slope(derivatives(case, "forward", None), differences(case)[2])
+    assert abs(value - 1.0) > 0.05 + 3.0 * error
+
+
 def assert_transposes(scene, params, names, options: dict) -> None:
     """Fail unless forward and reverse mode, with equal random numbers, are transposes of each other.
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_psdr.observe.problem import Problem, Side, normal_equations
-from warp_psdr.observe.solution import Solution, Step
+from warp_psdr.observe.solution import Solution, Step, that_matter
 
 #: Edges of blocks, pixels; least number of blocks along an image's shorter side; least share of what is known that is
 #: left without a block.
@@ -145,8 +145,7 @@ def _warn(undetermined: tuple[str, ...], unlike: float, reason: str) -> None:
 def _with_unknown(covariance: np.ndarray, undetermined: list[tuple[str, np.ndarray]]) -> np.ndarray:
     """Return a covariance that is infinite for the numbers of directions that no picture tells."""
     for _text, direction in undetermined:
-        parts = np.abs(direction) >= 0.3 * np.abs(direction).max()
-        covariance[np.diag(parts)] = np.inf
+        covariance[np.diag(that_matter(direction))] = np.inf
     return covariance
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -73,7 +74,6 @@ class Problem:
         self._sizes = [len(u.values(params)) for u in self.unknowns]
         for u in self.unknowns:
             self.labels += u.labels
-        self.of_scene = len(self.labels)
         self._firsts: dict[int, int] = {}
         for _sensor, photograph in self.views:
             if id(photograph) not in self._firsts:
@@ -208,7 +208,8 @@ class Normal:
         """Half of the gradient of the sum of squares."""
         return 0.5 * (self.g_a + self.g_b)
 
-    def axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    @functools.cached_property
+    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Return (scale, sizes, axes, told) of H with a diagonal of ones; told: which axes stand out of the noise."""
         scale = np.sqrt(np.maximum(np.diag(self.h), 0.0))
         scale = np.where(scale > 0.0, scale, 1.0)
@@ -218,13 +219,13 @@ class Normal:
 
     def step(self, g: np.ndarray, damping: float) -> np.ndarray:
         """Return -(H + damping diag H)^-1 g, 0 along what the pictures do not tell."""
-        scale, sizes, axes, told = self.axes()
+        scale, sizes, axes, told = self._axes
         along = axes.T @ (g / scale)
         return -(axes[:, told] @ (along[told] / (sizes[told] + damping))) / scale
 
     def inverse(self, labels: list[str]) -> tuple[np.ndarray, list[tuple[str, np.ndarray]]]:
         """Return H^-1 of what the pictures tell, and names and vectors of the directions that they do not."""
-        scale, sizes, axes, told = self.axes()
+        scale, sizes, axes, told = self._axes
         found = (axes[:, told] / sizes[told]) @ axes[:, told].T / np.outer(scale, scale)
         return found, [(described(axes[:, i], labels), axes[:, i]) for i in np.flatnonzero(~told)]
 

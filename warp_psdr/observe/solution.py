@@ -13,6 +13,8 @@ __all__ = ["Solution", "Step"]
 
 #: Directions that a table shows at most.
 SHOWN = 3
+#: Gain ratio below which a step is not taken.
+TAKEN = 0.02
 #: Share of the largest part of a direction from which on a part is named.
 NAMED = 0.3
 
@@ -39,7 +41,7 @@ class Step:
     values: np.ndarray
 
     def __str__(self) -> str:
-        kind = "taken" if self.gain >= 0.02 else "not taken"
+        kind = "taken" if self.gain >= TAKEN else "not taken"
         return f"step {self.number}: residual {self.before:.6g} -> {self.after:.6g}, {kind}, damping {self.damping:.1e}"
 
 
@@ -121,9 +123,14 @@ class Solution:
         return html.table(("", "value", "95 %"), self.rows())
 
 
+def that_matter(direction: np.ndarray) -> np.ndarray:
+    """Return a mask of the parts of a direction that matter."""
+    return np.abs(direction) >= NAMED * np.abs(direction).max()
+
+
 def described(direction: np.ndarray, labels: list[str]) -> str:
-    """Name the parts of a direction that matter."""
-    largest = np.abs(direction).max()
-    parts = [i for i in np.argsort(-np.abs(direction)) if abs(direction[i]) >= NAMED * largest][:SHOWN]
+    """Name the largest parts of a direction."""
+    matter = that_matter(direction)
+    parts = [i for i in np.argsort(-np.abs(direction)) if matter[i]][:SHOWN]
     sign = np.sign(direction[parts[0]])
     return " together with ".join(f"{'+' if sign * direction[i] > 0 else '-'}{labels[i]}" for i in parts)

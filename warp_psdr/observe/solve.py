@@ -16,7 +16,7 @@ import numpy as np
 
 from warp_psdr.observe import errors
 from warp_psdr.observe.problem import Problem, Side, normal_equations
-from warp_psdr.observe.solution import Solution, Step
+from warp_psdr.observe.solution import TAKEN, Solution, Step
 
 if TYPE_CHECKING:
     from warp_psdr.observe.unknowns import Unknowns
@@ -28,8 +28,8 @@ __all__ = ["solve"]
 
 #: Damping: at first, over the diagonal of H; its change after a bad and after a good step; its bounds.
 START, UP, DOWN, LEAST, MOST = 1.0e-3, 8.0, 0.2, 1.0e-7, 1.0e6
-#: Gain ratios: below the first a step is not taken, above the second damping falls.
-TAKEN, GOOD = 0.02, 0.5
+#: Gain ratio above which damping falls.
+GOOD = 0.5
 #: Median of the absolute values of a normal distribution of standard deviation one, inverse.
 NORMAL_MEDIAN = 1.4826
 #: Least scale of Huber's weights over the residuals' root mean square, until they settle once: far off, most residuals
@@ -95,12 +95,13 @@ def solve(
         h, g = equations.h, equations.g
         if not np.any(np.diag(h) > 0.0):
             raise ValueError("solve: no unknown changes any picture; is what they move seen by the sensors?")
-        before, loss, state = _loss(a, b, robust), np.inf, problem.state()
+        before = _loss([side.residual for side in a], [side.residual for side in b], robust)
+        state = problem.state()
         while True:
             step, noise = (equations.step(x, damping) for x in (g, 0.5 * (equations.g_a - equations.g_b)))
             problem.move(step)
             first, second = (problem.residuals(s, spp * finer) for s in pair)
-            loss = sum(float((w * x * y).sum()) for w, x, y in zip(robust, first, second, strict=True))
+            loss = _loss(first, second, robust)
             promised = -2.0 * float(g @ step) - float(step @ h @ step)
             gain = (before - loss) / promised if promised > 0.0 else -1.0
             if gain >= TAKEN:
@@ -163,9 +164,9 @@ def _looks(
     return a, b, pair, robust
 
 
-def _loss(a: list[Side], b: list[Side], robust: list[np.ndarray]) -> float:
+def _loss(first: list[np.ndarray], second: list[np.ndarray], robust: list[np.ndarray]) -> float:
     """Return r_1^T W r_2."""
-    return sum(float((w * x.residual * y.residual).sum()) for w, x, y in zip(robust, a, b, strict=True))
+    return sum(float((w * x * y).sum()) for w, x, y in zip(robust, first, second, strict=True))
 
 
 def _within(h: np.ndarray, step: np.ndarray, noise: np.ndarray) -> bool:

@@ -98,7 +98,7 @@ def bytes_of_frame(scene: Scene) -> int:
                 if shape.smooth:
                     stretches.append((shape.normal_offset + 3 * shape.first_vertex, size))
     blocks = {b for first, size in stretches for b in range(first // BLOCK, (first + size - 1) // BLOCK + 1)}
-    return len(blocks) * BLOCK * scene.values.numpy().itemsize
+    return len(blocks) * BLOCK * wp.types.type_size_in_bytes(scene.values.dtype)
 
 
 def describe(scene: Scene) -> list[tuple[str, str, str]]:
