@@ -51,7 +51,9 @@ class Errors:
 
     @property
     def noisiest(self) -> float:
-        """The largest sampling variance of a number over its variance by residuals."""
+        """The largest sampling variance of a number over its variance by residuals; infinite if some are not told."""
+        if self.undetermined:
+            return float("inf")
         return float((np.diag(self.sampling) / np.maximum(np.diag(self.residuals), 1e-300)).max())
 
 

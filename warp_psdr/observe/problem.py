@@ -25,6 +25,8 @@ IMAGE_SHARE = 4
 MOST = 512
 #: Eigenvalue of the normal equations, scaled to a diagonal of ones, below which nothing is told.
 SINGULAR = 1.0e-6
+#: Standard deviations, and that many, above which an eigenvalue stands out of the noise of its own estimate.
+DEVIATIONS = 2.0
 
 
 @dataclass(frozen=True)
@@ -192,14 +194,14 @@ class Normal:
 
     Attributes:
         h: (n, n) J_1^T W J_2, symmetrised.
-        noise: (n, n) the same of half of the difference of J_1 and J_2: what sampling noise adds to the square of their
-            mean.
+        apart: of each photograph: which unknowns move it (k,), and half of the difference of J_1 and J_2 there, times
+            the square root of W, (k, pixels, 3).
         g_a: (n,) J_2^T W r_1.
         g_b: (n,) J_1^T W r_2.
     """
 
     h: np.ndarray
-    noise: np.ndarray
+    apart: list[tuple[np.ndarray, np.ndarray]]
     g_a: np.ndarray
     g_b: np.ndarray
 
@@ -210,12 +212,18 @@ class Normal:
 
     @functools.cached_property
     def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Return (scale, sizes, axes, told) of H with a diagonal of ones; told: which axes stand out of the noise."""
+        """Return (scale, sizes, axes, told) of H with a diagonal of ones; told: which axes stand out of the noise.
+
+        The noise of a size is that of the sum of products of two looks, whose scatter the pixels' differences tell.
+        """
         scale = np.sqrt(np.maximum(np.diag(self.h), 0.0))
         scale = np.where(scale > 0.0, scale, 1.0)
         sizes, axes = np.linalg.eigh(self.h / np.outer(scale, scale))
-        of_noise = np.einsum("ia,ij,ja->a", axes, self.noise / np.outer(scale, scale), axes)
-        return scale, sizes, axes, sizes > np.maximum(of_noise, SINGULAR)
+        variance = np.zeros(len(sizes))
+        for numbers, columns in self.apart:
+            along = np.tensordot((axes / scale[:, None])[numbers], columns, (0, 0))
+            variance += ((2.0 * (along**2).sum(axis=2)) ** 2).sum(axis=1)
+        return scale, sizes, axes, sizes > np.maximum(DEVIATIONS * np.sqrt(variance), SINGULAR)
 
     def step(self, g: np.ndarray, damping: float) -> np.ndarray:
         """Return -(H + damping diag H)^-1 g, 0 along what the pictures do not tell."""
@@ -232,7 +240,8 @@ class Normal:
 
 def normal_equations(a: list[Side], b: list[Side], robust: list[np.ndarray], size: int) -> Normal:
     """Return the normal equations of two looks at all photographs."""
-    h, noise, g_a, g_b = np.zeros((size, size)), np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    h, g_a, g_b = np.zeros((size, size)), np.zeros(size), np.zeros(size)
+    apart = []
     for one, other, w in zip(a, b, robust, strict=True):
         n = one.numbers
         if not len(n):
@@ -240,9 +249,8 @@ def normal_equations(a: list[Side], b: list[Side], robust: list[np.ndarray], siz
         ja, jb = (s.columns.reshape(len(n), -1) for s in (one, other))
         weights = np.broadcast_to(w, one.residual.shape).ravel().astype(np.float32)
         product = (ja * weights) @ jb.T
-        apart = 0.5 * (ja - jb)
+        apart.append((n, (0.5 * np.sqrt(weights) * (ja - jb)).reshape(len(n), -1, 3)))
         h[np.ix_(n, n)] += 0.5 * (product + product.T)
-        noise[np.ix_(n, n)] += (apart * weights) @ apart.T
         g_a[n] += jb @ (weights * one.residual.ravel())
         g_b[n] += ja @ (weights * other.residual.ravel())
-    return Normal(h, noise, g_a, g_b)
+    return Normal(h, apart, g_a, g_b)
