@@ -5,43 +5,7 @@ import pytest
 
 import warp_psdr as psdr
 
-WIDTH, HEIGHT = 40, 30
-T = psdr.Transform
-POSE = "board.to_world"
-TRUE = T.translate([0.02, 0.01, 1.6]) @ T.rotate([1, 0, 0], 25.0) @ T.rotate([0, 1, 0], -20.0)
-NEAR = T.translate([0.03, -0.01, 1.62]) @ T.rotate([1, 0, 0], 22.0) @ T.rotate([0, 1, 0], -17.0)
-SQUARES = np.kron((np.add.outer(np.arange(6), np.arange(8)) % 2), np.ones((4, 4)))[..., None] * np.ones(3)
-
-
-def node(pose, **more):
-    """A checkerboard under an even sky."""
-    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": "box"}}
-    paint = {"type": "bitmap", "data": (0.2 + 0.5 * SQUARES).astype(np.float32), "raw": True, "wrap_mode": "clamp"}
-    corners = np.float32([[-0.4, -0.3, 0.0], [0.4, -0.3, 0.0], [0.4, 0.3, 0.0], [-0.4, 0.3, 0.0]])
-    return {
-        "type": "scene",
-        "integrator": {"type": "path", "max_depth": 2},
-        "sensor": {"type": "perspective", "fov": 40.0, "film": film},
-        "board": {
-            "type": "mesh",
-            "vertices": corners,
-            "faces": np.int32([[0, 1, 2], [0, 2, 3]]),
-            "texcoords": np.float32([[0, 0], [1, 0], [1, 1], [0, 1]]),
-            "face_normals": True,
-            "to_world": pose,
-            "bsdf": {"type": "twosided", "inner": {"type": "diffuse", "reflectance": paint}},
-        },
-        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [1.0, 1.0, 1.0]}},
-        **more,
-    }
-
-
-@pytest.fixture(scope="module")
-def photo():
-    """What a camera of exposure .7 wrote of the board, with noise."""
-    image = psdr.render(psdr.load_dict(node(TRUE)), spp=256, seed=99).numpy()
-    noisy = 0.7 * image + 0.004 * np.random.default_rng(0).normal(size=image.shape)
-    return np.round(255 * psdr.image_io.linear_to_srgb(noisy)).astype(np.uint8)
+from .board import HEIGHT, NEAR, POSE, SQUARES, TRUE, WIDTH, T, node
 
 
 def solved(photo, **more):
@@ -148,7 +112,9 @@ def test_bad_requests_are_refused(photo):
         psdr.solve(scene, params, psdr.Photograph(photo[1:], unknowns=["exposure"]))
     params.requires_grad("board.bsdf.*.data")
     with pytest.raises(ValueError, match="takes up to 512"):
-        psdr.solve(scene, params, psdr.Photograph(photo))
+        psdr.solve(scene, params, psdr.Photograph(photo), method="dense")
+    with pytest.raises(ValueError, match="expected one of 'auto', 'dense', 'conjugate_gradients'"):
+        psdr.solve(scene, params, psdr.Photograph(photo), method="newton")
     scene = psdr.load_dict(node(T.translate([0.0, 0.0, -3.0])))
     params = psdr.traverse(scene)
     with pytest.raises(ValueError, match="no unknown changes any picture"):

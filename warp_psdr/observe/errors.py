@@ -5,8 +5,9 @@ scores s_p = w_p J_p r_p of pixels p, what residuals do is H^-1 C H^-1, C the co
 Independent residuals would give the textbook's sigma^2 H^-1. Those of photographs go together over many pixels
 (response, compression, uneven light), so scores are summed over square blocks first, whose sums are about independent:
 C = sum over blocks of s_b s_b^T / (1 - l_b)^2, l_b = trace(H^-1 J_b^T W J_b) / n the share of what is known that the
-block tells, as if each block had been left out in turn. Blocks of many sizes are tried, and those that give the widest
-bars count: smaller ones cut what goes together, in larger ones errors of opposite signs cancel.
+block tells, as if each block had been left out in turn. Blocks of many sizes are tried, whole photographs as well if
+there are several, and those that give the widest bars count: smaller ones cut what goes together, in larger ones errors
+of opposite signs cancel.
 
 What goes one way everywhere leaves no scatter. So the response is doubted, and the evenness of light: the shift of the
 solution, if the exponent of the response and a slope of brightness in x and y were unknown, counts as an error itself.
@@ -17,52 +18,28 @@ Derivation: ``docs/theory/photographs.md``.
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
+from scipy import stats
 
 from warp_psdr.observe.problem import Problem, Side, normal_equations
-from warp_psdr.observe.solution import Solution, Step, that_matter
+from warp_psdr.observe.solution import Errors, Solution, Step, that_matter
 
 #: Edges of blocks, pixels; least number of blocks along an image's shorter side; least share of what is known that is
 #: left without a block.
 SIZES, ALONG, LEAST_REST = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64), 4, 0.2
+#: Least number of photographs that are also left out as wholes.
+PHOTOGRAPHS = 4
 #: Residual, over that of a grey picture, from which on the scene does not look like the photographs.
 UNLIKE = 0.7
-
-
-@dataclass(frozen=True)
-class Errors:
-    """Errors of a solution: see ``Solution``.
-
-    Attributes:
-        unlike: squares of residuals over those of the photographs around their means.
-        undetermined: (name, direction) of what no picture tells.
-    """
-
-    sampling: np.ndarray
-    residuals: np.ndarray
-    doubts: np.ndarray
-    freedom: int
-    block: int
-    rms: float
-    unlike: float
-    undetermined: list[tuple[str, np.ndarray]]
-
-    @property
-    def noisiest(self) -> float:
-        """The largest sampling variance of a number over its variance by residuals; infinite if some are not told."""
-        if self.undetermined:
-            return float("inf")
-        return float((np.diag(self.sampling) / np.maximum(np.diag(self.residuals), 1e-300)).max())
 
 
 def estimated(problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarray]) -> Errors:
     """Return the errors of a problem's present values, from two looks."""
     inverse, undetermined = normal_equations(a, b, robust, problem.size).inverse(problem.labels)
     sampling, maps = np.zeros_like(inverse), []
-    squares, count, plain = 0.0, 0.0, 0.0
-    for (_sensor, photograph), one, other, w in zip(problem.views, a, b, robust, strict=True):
+    for one, other, w in zip(a, b, robust, strict=True):
         mean, apart = 0.5 * (one.residual + other.residual), 0.5 * (one.residual - other.residual)
         columns, turned = 0.5 * (one.columns + other.columns), 0.5 * (one.columns - other.columns)
         n = one.numbers
@@ -70,11 +47,6 @@ def estimated(problem: Problem, a: list[Side], b: list[Side], robust: list[np.nd
         sampling[np.ix_(n, n)] += noise @ noise.T
         told = np.einsum("ihwc,ij,jhwc,hw->hw", columns, inverse[np.ix_(n, n)], columns, w[..., 0], optimize=True)
         maps.append((n, np.append((w * columns * mean).sum(axis=3), told[None] / problem.size, axis=0), w[..., 0]))
-        counts = photograph.weights > 0.0
-        squares += float((one.residual * other.residual)[counts].sum())
-        target = photograph.weights * photograph.linear
-        plain += float(((target - target[counts].mean())[counts] ** 2).sum())
-        count += counts.sum()
     spread, freedom, block = _widest(maps, inverse)
     shift = _shift(problem, a, b, robust)
     return Errors(
@@ -83,9 +55,7 @@ def estimated(problem: Problem, a: list[Side], b: list[Side], robust: list[np.nd
         doubts=np.outer(shift, shift),
         freedom=freedom,
         block=block,
-        rms=float(np.sqrt(max(squares, 0.0) / max(count, 1.0))),
-        unlike=squares / max(plain, 1e-30),
-        undetermined=undetermined,
+        undetermined=tuple(undetermined),
     )
 
 
@@ -99,35 +69,36 @@ def _shift(problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarr
         more.append([_extended(side, added, photograph.doubts(side.image)) for side in (one, other)])
     both = [list(sides) for sides in zip(*more, strict=True)]
     whole = normal_equations(both[0], both[1], robust, size)
-    return whole.step(whole.g, 0.0)[: problem.size]
+    return whole.step(0.0)[: problem.size]
 
 
 def _extended(side: Side, numbers: np.ndarray, columns: np.ndarray) -> Side:
     """Return a look with further columns."""
     stacked = np.concatenate([side.columns, columns.astype(np.float32)])
-    return Side(side.image, side.residual, np.append(side.numbers, numbers), stacked)
+    return replace(side, numbers=np.append(side.numbers, numbers), columns=stacked)
 
 
 def solution(
-    problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarray], steps: list[Step], reason: str
+    problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarray], steps: list[Step], reason: str, bars: bool
 ) -> Solution:
-    """Return values with their errors, from two looks at the end; warn where they are not to be trusted."""
-    found = estimated(problem, a, b, robust)
-    texts = tuple(text for text, _direction in found.undetermined)
-    _warn(texts, found.unlike, reason)
-    return Solution(
-        labels=tuple(problem.labels),
-        values=problem.values(),
-        sampling=found.sampling,
-        residuals=found.residuals,
-        doubts=found.doubts,
-        freedom=found.freedom,
-        block=found.block,
-        rms=found.rms,
-        steps=tuple(steps),
-        reason=reason,
-        undetermined=texts,
-    )
+    """Return values from two looks at the end, with their errors if ``bars``; warn where they are not to be trusted."""
+    found = estimated(problem, a, b, robust) if bars else None
+    rms, unlike = _residual(problem, a, b)
+    solved = Solution(tuple(problem.labels), problem.values(), found, rms, tuple(steps), reason)
+    _warn(solved.undetermined, unlike, reason)
+    return solved
+
+
+def _residual(problem: Problem, a: list[Side], b: list[Side]) -> tuple[float, float]:
+    """Return the residual's root mean square, and its squares over those of the photographs around their means."""
+    squares, count, plain = 0.0, 0.0, 0.0
+    for (_sensor, photograph), one, other in zip(problem.views, a, b, strict=True):
+        counts = photograph.weights > 0.0
+        squares += float((one.residual * other.residual)[counts].sum())
+        target = photograph.weights * photograph.linear
+        plain += float(((target - target[counts].mean())[counts] ** 2).sum())
+        count += counts.sum()
+    return float(np.sqrt(max(squares, 0.0) / max(count, 1.0))), squares / max(plain, 1e-30)
 
 
 def _warn(undetermined: tuple[str, ...], unlike: float, reason: str) -> None:
@@ -151,20 +122,27 @@ def _with_unknown(covariance: np.ndarray, undetermined: list[tuple[str, np.ndarr
     return covariance
 
 
-def _widest(maps: list[tuple[np.ndarray, np.ndarray, np.ndarray]], inverse: np.ndarray) -> tuple[np.ndarray, int, int]:
-    """Return (covariance, freedom, block) of the blocks that give the widest bars, each number's own if wider.
+def _widest(
+    maps: list[tuple[np.ndarray, np.ndarray, np.ndarray]], inverse: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return (covariance, freedom of each number, block) of the blocks that give the widest bars, each number's own.
 
     ``maps``: of each picture the numbers that move it, scores (k, H, W) with shares as their last plane, and weights.
     """
     most = max(min(min(scores.shape[1:]) for _n, scores, _w in maps) // ALONG, 1)
     sizes = [size for size in SIZES if size <= most] or [1]
+    if len(maps) >= PHOTOGRAPHS:
+        sizes.append(max(max(scores.shape[1:]) for _n, scores, _w in maps))
     found = [_of_blocks(maps, inverse, size) for size in sizes]
     deviations = np.array([np.sqrt(np.diag(covariance)) for covariance, _freedom in found])
-    widest = deviations.max(axis=0)
-    at = int(np.argmax((deviations / np.maximum(widest, 1e-300)).sum(axis=1)))
-    covariance, freedom = found[at]
-    grown = widest / np.maximum(deviations[at], 1e-300)
-    return covariance * np.outer(grown, grown), freedom, sizes[at]
+    bars = deviations * stats.t.ppf(0.975, [freedom for _covariance, freedom in found])[:, None]
+    own = bars.argmax(axis=0)
+    at = int(np.argmax((bars / np.maximum(bars.max(axis=0), 1e-300)).sum(axis=1)))
+    covariance, grown = (
+        found[at][0],
+        np.take_along_axis(deviations, own[None], 0)[0] / np.maximum(deviations[at], 1e-300),
+    )
+    return covariance * np.outer(grown, grown), np.array([found[i][1] for i in own]), sizes[at]
 
 
 def _of_blocks(

@@ -12,7 +12,8 @@ import numpy as np
 from warp_psdr.observe.photograph import Photograph
 from warp_psdr.observe.solution import described
 from warp_psdr.observe.unknowns import Entries, Unknowns
-from warp_psdr.render import render, render_forward
+from warp_psdr.render import render, render_backward, render_forward
+from warp_psdr.scene.parameters import traverse
 
 if TYPE_CHECKING:
     from warp_psdr.plan.integrator import Integrator
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 #: Samples of an image over those of each of its derivatives, of which there are many.
 IMAGE_SHARE = 4
-#: Most unknown numbers: the derivative image of each is rendered, and kept.
+#: Most unknown numbers whose derivative images are each rendered, and kept.
 MOST = 512
 #: Eigenvalue of the normal equations, scaled to a diagonal of ones, below which nothing is told.
 SINGULAR = 1.0e-6
@@ -37,13 +38,17 @@ class Side:
         image: (H, W, 3), rendered.
         residual: (H, W, 3), weighted.
         numbers: (k,) which unknowns move it.
-        columns: (k, H, W, 3) derivatives of the residual by these.
+        columns: (k, H, W, 3) derivatives of the residual by these; with conjugate gradients by the photograph's own.
+        seed: of its random numbers.
+        spp: samples a pixel of derivatives.
     """
 
     image: np.ndarray
     residual: np.ndarray
     numbers: np.ndarray
     columns: np.ndarray
+    seed: int
+    spp: int
 
 
 class Problem:
@@ -84,11 +89,8 @@ class Problem:
                 self.labels += [f"{photograph.name} {label}" for label in more] if len(self.views) > 1 else more
         if not self.labels:
             raise ValueError("solve: nothing is unknown; call params.requires_grad(...), or give unknowns=[...]")
-        if len(self.labels) > MOST:
-            raise ValueError(
-                f"solve: {len(self.labels)} unknown numbers, and it takes up to {MOST}: each costs a derivative image; "
-                "find textures and fine meshes by psdr.optim, or the optimisers of Warp"
-            )
+        # Gradients of our own: those of the caller's parameters stay as they are.
+        self._reversed = traverse(scene)
 
     @property
     def size(self) -> int:
@@ -143,9 +145,9 @@ class Problem:
         """Return the residuals of all views."""
         return [p.residual(i) for (_s, p), i in zip(self.views, self.images(seed, spp), strict=True)]
 
-    def sides(self, seed: int, spp: int) -> list[Side]:
-        """Return residuals and derivatives of all views."""
-        tangents = [row for u in self.unknowns for row in u.tangents(self.params)]
+    def sides(self, seed: int, spp: int, *, each: bool = True) -> list[Side]:
+        """Return residuals and derivatives of all views; by the scene's numbers only if ``each``."""
+        tangents = [row for u in self.unknowns for row in u.tangents(self.params)] if each else []
         options: dict[str, Any] = {"integrator": self._integrator, "spp": spp, "seed": seed}
         found = []
         for (sensor, photograph), image in zip(self.views, self.images(seed, spp), strict=True):
@@ -161,7 +163,50 @@ class Problem:
             numbers += range(first, first + len(own))
             columns += list(own.astype(np.float32))
             stacked = np.stack(columns) if columns else np.zeros((0, *image.shape), np.float32)
-            found.append(Side(image, photograph.residual(image), np.array(numbers, int), stacked))
+            found.append(Side(image, photograph.residual(image), np.array(numbers, int), stacked, seed, spp))
+        return found
+
+    def groups(self) -> list[slice]:
+        """Return the numbers of each kind of unknowns, and of each photograph."""
+        sizes = [*self._sizes, *(p.unknown_values.size for p in self._photographs())]
+        ends = np.cumsum(sizes)
+        return [slice(int(end) - size, int(end)) for end, size in zip(ends, sizes, strict=True) if size]
+
+    def pushed(self, direction: np.ndarray, look: list[Side]) -> list[np.ndarray]:
+        """Return J d of a look without ``each``: how residuals of all views change along a direction (n,)."""
+        found = []
+        parts = np.split(direction[: sum(self._sizes)], np.cumsum(self._sizes)[:-1]) if self._sizes else []
+        total: dict[str, np.ndarray] = {}
+        for u, part in zip(self.unknowns, parts, strict=True):
+            for name, velocity in u.push(self.params, part).items():
+                total[name] = total.get(name, np.float32(0.0)) + velocity
+        for (sensor, photograph), side in zip(self.views, look, strict=True):
+            moved = np.einsum("k,khwc->hwc", direction[side.numbers], side.columns)
+            row = self._seen(total, sensor)
+            if row:
+                options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
+                image = render_forward(self.scene, self.params, row, sensor=sensor, **options).numpy()
+                moved += photograph.weights * photograph.gain() * image
+            found.append(moved)
+        return found
+
+    def pulled(self, images: list[np.ndarray], look: list[Side]) -> np.ndarray:
+        """Return J^T y of a look without ``each``: (n,), ``images`` y, (H, W, 3) for each view."""
+        params, found = self._reversed, np.zeros(self.size)
+        names = dict.fromkeys(name for u in self.unknowns for name in u.names(self.params))
+        params.requires_grad_only(*names)
+        params.zero_grad()
+        for (sensor, photograph), side, image in zip(self.views, look, images, strict=True):
+            if names:
+                adjoint = (photograph.weights * photograph.gain() * image).astype(np.float32)
+                options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
+                render_backward(self.scene, params, adjoint, sensor=sensor, **options)
+            found[side.numbers] += np.einsum("hwc,khwc->k", image, side.columns)
+        gradients = {name: params[name].grad.numpy() for name in names}
+        first = 0
+        for u, size in zip(self.unknowns, self._sizes, strict=True):
+            found[first : first + size] += u.pull(self.params, gradients)
+            first += size
         return found
 
     def _seen(self, tangents: Mapping[str, np.ndarray], sensor: int) -> dict[str, np.ndarray]:
@@ -225,8 +270,26 @@ class Normal:
             variance += ((2.0 * (along**2).sum(axis=2)) ** 2).sum(axis=1)
         return scale, sizes, axes, sizes > np.maximum(DEVIATIONS * np.sqrt(variance), SINGULAR)
 
-    def step(self, g: np.ndarray, damping: float) -> np.ndarray:
+    @property
+    def told(self) -> bool:
+        """Whether some number changes a picture."""
+        return bool(np.any(np.diag(self.h) > 0.0))
+
+    def step(self, damping: float) -> np.ndarray:
         """Return -(H + damping diag H)^-1 g, 0 along what the pictures do not tell."""
+        return self._solved(self.g, damping)
+
+    def promised(self, step: np.ndarray) -> float:
+        """Return by how much the sum of squares would fall if the residuals were linear."""
+        return -2.0 * float(self.g @ step) - float(step @ self.h @ step)
+
+    def within(self, step: np.ndarray, damping: float) -> bool:
+        """Return whether a step is no longer than its own error."""
+        noise = self._solved(0.5 * (self.g_a - self.g_b), damping)
+        scale = np.diag(self.h).clip(min=0.0)
+        return float((scale * step**2).sum()) <= 2.0 * float((scale * noise**2).sum())
+
+    def _solved(self, g: np.ndarray, damping: float) -> np.ndarray:
         scale, sizes, axes, told = self._axes
         along = axes.T @ (g / scale)
         return -(axes[:, told] @ (along[told] / (sizes[told] + damping))) / scale

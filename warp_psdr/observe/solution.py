@@ -9,10 +9,12 @@ from scipy import stats
 
 from warp_psdr import html
 
-__all__ = ["Solution", "Step"]
+__all__ = ["Errors", "Solution", "Step"]
 
 #: Directions that a table shows at most.
 SHOWN = 3
+#: Numbers that it lists at most.
+ROWS = 24
 #: Gain ratio below which a step is not taken.
 TAKEN = 0.02
 #: Share of the largest part of a direction from which on a part is named.
@@ -46,50 +48,94 @@ class Step:
 
 
 @dataclass(frozen=True)
+class Errors:
+    """How sure the values of a solution are.
+
+    Attributes:
+        sampling: (n, n) covariance of the random numbers of rendering.
+        residuals: (n, n) covariance of what the photographs have and the scene lacks, from blocks of pixels
+            (a sandwich estimate), and from whole photographs if there are at least four.
+        doubts: (n, n) of a response of another exponent, and of light that is brighter on one side: the squared shift
+            of the values if these were unknown, too.
+        freedom: (n,) degrees of freedom of ``residuals``: blocks of equal say, less one.
+        block: edge of the blocks, pixels, those that give the widest bars.
+        undetermined: (text, unit vector) of the directions that no picture tells.
+    """
+
+    sampling: np.ndarray
+    residuals: np.ndarray
+    doubts: np.ndarray
+    freedom: np.ndarray
+    block: int
+    undetermined: tuple[tuple[str, np.ndarray], ...]
+
+    @property
+    def noisiest(self) -> float:
+        """The largest sampling variance of a number over its variance by residuals; infinite if some are not told."""
+        if self.undetermined:
+            return float("inf")
+        return float((np.diag(self.sampling) / np.maximum(np.diag(self.residuals), 1e-300)).max())
+
+
+@dataclass(frozen=True)
 class Solution:
     """Values that ``solve`` found, and how sure they are.
 
     Attributes:
         labels: (n,) names of the numbers.
         values: (n,); rigid motions since the start.
-        sampling: (n, n) covariance of the random numbers of rendering.
-        residuals: (n, n) covariance of what the photographs have and the scene lacks, from blocks of pixels
-            (a sandwich estimate).
-        doubts: (n, n) of a response of another exponent, and of light that is brighter on one side: the squared shift
-            of the values if these were unknown, too.
-        freedom: degrees of freedom of ``residuals``: blocks of equal say, less one.
-        block: edge of the blocks, pixels, those that give the widest bars.
+        errors: how sure they are, by causes; None of conjugate gradients, which have no error bars.
         rms: of the residuals, in code values of the photographs.
         steps: how the solver went.
         reason: why it stopped.
-        undetermined: directions that no picture tells, as texts.
     """
 
     labels: tuple[str, ...]
     values: np.ndarray
-    sampling: np.ndarray
-    residuals: np.ndarray
-    doubts: np.ndarray
-    freedom: int
-    block: int
+    errors: Errors | None = field(repr=False)
     rms: float
     steps: tuple[Step, ...] = field(repr=False)
     reason: str = ""
-    undetermined: tuple[str, ...] = ()
+
+    def _known(self) -> Errors:
+        if self.errors is None:
+            raise ValueError(
+                "solution: conjugate gradients give no error bars; solve for up to 512 numbers, for example by "
+                "psdr.unknowns.Function, or for some of them beside fixed ones"
+            )
+        return self.errors
+
+    @property
+    def undetermined(self) -> tuple[str, ...]:
+        """Directions that no picture tells, as texts; none are sought by conjugate gradients."""
+        return tuple(text for text, _direction in self.errors.undetermined) if self.errors else ()
 
     @property
     def covariance(self) -> np.ndarray:
-        """(n, n), of all causes."""
-        return self.sampling + self.residuals + self.doubts
+        """(n, n), of all causes.
+
+        Raises:
+            ValueError: there are no error bars.
+        """
+        known = self._known()
+        return known.sampling + known.residuals + known.doubts
 
     @property
     def std(self) -> np.ndarray:
-        """(n,) standard deviations; infinite where the pictures do not tell a number."""
+        """(n,) standard deviations; infinite where the pictures do not tell a number.
+
+        Raises:
+            ValueError: there are no error bars.
+        """
         return np.sqrt(np.diag(self.covariance))
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lower and upper ends of bars that hold the true values with a probability, each by itself."""
-        factor = stats.t.ppf(0.5 + 0.5 * level, max(self.freedom, 1))
+        """Return the lower and upper ends of bars that hold the true values with a probability, each by itself.
+
+        Raises:
+            ValueError: there are no error bars.
+        """
+        factor = stats.t.ppf(0.5 + 0.5 * level, np.maximum(self._known().freedom, 1))
         return self.values - factor * self.std, self.values + factor * self.std
 
     @property
@@ -103,20 +149,21 @@ class Solution:
         return [(float(np.sqrt(max(sizes[i], 0.0))), axes[:, i]) for i in range(len(sizes))[::-1]]
 
     def rows(self) -> list[tuple[str, str, str]]:
-        """Return the table's rows: name, value, 95 % bar."""
-        low, high = self.interval()
-        bars = 0.5 * (high - low)
-        return [
-            (label, f"{value:.6g}", f"± {bar:.2g}")
-            for label, value, bar in zip(self.labels, self.values, bars, strict=True)
-        ]
+        """Return the table's rows: name, value, 95 % bar; the first 24."""
+        bars = ["" for _label in self.labels]
+        if self.errors is not None:
+            low, high = self.interval()
+            bars = [f"± {bar:.2g}" for bar in 0.5 * (high - low)]
+        found = [(a, f"{b:.6g}", c) for a, b, c in zip(self.labels, self.values, bars, strict=True)][:ROWS]
+        more = len(self.labels) - len(found)
+        return [*found, (f"{more} more", "", "")] if more else found
 
     def __str__(self) -> str:
         rows = self.rows()
         widths = [max(len(row[i]) for row in rows) for i in range(2)]
         lines = [f"{a:<{widths[0]}}  {b:>{widths[1]}}  {c}" for a, b, c in rows]
         end = f"{len(self.steps)} steps: {self.reason}; residual {self.rms:.3g} rms; "
-        end += f"95 % bars, blocks of {self.block} pixels"
+        end += f"95 % bars, blocks of {self.errors.block} pixels" if self.errors else "no error bars"
         return "\n".join([*lines, end, *(f"not determined: {text}" for text in self.undetermined)])
 
     def _repr_html_(self) -> str:

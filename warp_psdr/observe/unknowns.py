@@ -1,27 +1,32 @@
 """What ``psdr.solve`` finds: numbers that parameters of a scene depend on.
 
-Every kind tells how its numbers move parameters now (tangents, for ``render_forward``), and takes steps. A step of a
-rigid motion is a turn and a shift of what is there, so that poses stay poses however far they go.
+Every kind tells how its numbers move parameters now (tangents, for ``render_forward``; ``push`` and ``pull`` where they
+are many), and takes steps. A step of a rigid motion is a turn and a shift of what is there, so that poses stay poses
+however far they go.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import warp as wp
 from scipy.spatial.transform import Rotation
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
 
-__all__ = ["Entries", "Function", "Rigid", "Unknowns"]
+__all__ = ["Entries", "Function", "Rigid", "Taped", "Unknowns"]
 
 #: Relative step of the differences by which ``Function`` is differentiated: the cube root of float64's rounding.
 STEP = 6.0e-6
+#: That of ``Taped``, whose values are single precision.
+SINGLE_STEP = 1.0e-3
 
 
-class Unknowns(Protocol):
+class Unknowns(ABC):
     """Some numbers.
 
     Attributes:
@@ -30,23 +35,45 @@ class Unknowns(Protocol):
 
     labels: list[str]
 
+    @abstractmethod
+    def names(self, params: Parameters) -> list[str]:
+        """Return which parameters the numbers move."""
+
+    @abstractmethod
     def values(self, params: Parameters) -> np.ndarray:
         """Return the numbers, for tables."""
 
+    @abstractmethod
     def tangents(self, params: Parameters) -> list[dict[str, np.ndarray]]:
         """Return for each number how parameters move with it: name -> velocity."""
 
+    @abstractmethod
     def move(self, params: Parameters, step: np.ndarray) -> None:
         """Add a step, and write the parameters (``params.update()`` is the caller's)."""
 
+    @abstractmethod
     def state(self, params: Parameters) -> Any:
         """Return what ``restore`` goes back to."""
 
+    @abstractmethod
     def restore(self, params: Parameters, state: Any) -> None:
         """Go back to a state."""
 
+    def push(self, params: Parameters, direction: np.ndarray) -> dict[str, np.ndarray]:
+        """Return how parameters move if the numbers move along a direction (n,): name -> velocity."""
+        total: dict[str, np.ndarray] = {}
+        for number, row in zip(direction, self.tangents(params), strict=True):
+            for name, velocity in row.items():
+                total[name] = total.get(name, np.float32(0.0)) + np.float32(number) * velocity
+        return total
 
-class Entries:
+    def pull(self, params: Parameters, gradients: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return derivatives by the numbers (n,) from those by the parameters."""
+        rows = self.tangents(params)
+        return np.array([sum(float((gradients[k].astype(float) * v).sum()) for k, v in row.items()) for row in rows])
+
+
+class Entries(Unknowns):
     """Every number of a parameter by itself.
 
     Args:
@@ -57,6 +84,10 @@ class Entries:
     def __init__(self, name: str, *, together: bool = False):
         self.name, self.together = name, together
         self.labels: list[str] = []
+
+    def names(self, params: Parameters) -> list[str]:
+        """Return the parameter."""
+        return [self.name]
 
     def values(self, params: Parameters) -> np.ndarray:
         """Return the entries, or their mean."""
@@ -71,6 +102,17 @@ class Entries:
         if self.together:
             return [{self.name: np.ones(shape, np.float32)}]
         return [{self.name: row.reshape(shape)} for row in np.eye(int(np.prod(shape)), dtype=np.float32)]
+
+    def push(self, params: Parameters, direction: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the direction in the parameter's shape."""
+        shape = params[self.name].numpy().shape
+        moved = np.full(shape, direction[0]) if self.together else direction.reshape(shape)
+        return {self.name: moved.astype(np.float32)}
+
+    def pull(self, params: Parameters, gradients: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return the parameter's derivatives in a row, or their sum."""
+        found = gradients[self.name].astype(float).ravel()
+        return np.array([found.sum()]) if self.together else found
 
     def move(self, params: Parameters, step: np.ndarray) -> None:
         """Add the step, within the parameter's bounds."""
@@ -88,7 +130,7 @@ class Entries:
         params[self.name] = state
 
 
-class Rigid:
+class Rigid(Unknowns):
     """A rigid motion: three angles (radians) of a turn about the world's axes through a point, and three lengths.
 
     Args:
@@ -101,6 +143,10 @@ class Rigid:
         self.about = None if about is None else np.asarray(about, float)
         self.labels = [f"{name} {what} {axis}" for what in ("turn", "shift") for axis in "xyz"]
         self._moved = np.zeros(6)
+
+    def names(self, params: Parameters) -> list[str]:
+        """Return the pose or the positions."""
+        return [self.name]
 
     def values(self, params: Parameters) -> np.ndarray:
         """Return the sum of all steps."""
@@ -153,8 +199,8 @@ class Rigid:
         self._moved, self.about = state[1].copy(), state[2]
 
 
-class Function:
-    """Numbers that any function takes to parameters; it is differentiated by central differences.
+class Function(Unknowns):
+    """A few numbers that any function takes to parameters; it is differentiated by central differences.
 
     Args:
         function: (n,) float64 -> name -> values. What it launches on Warp arrays it returns as NumPy arrays; in
@@ -176,6 +222,10 @@ class Function:
         self.labels = list(labels) if labels is not None else [f"x[{i}]" for i in range(self.x.size)]
         if len(self.labels) != self.x.size:
             raise ValueError(f"Function: got {len(self.labels)} labels of {self.x.size} numbers")
+
+    def names(self, params: Parameters) -> list[str]:
+        """Return what the function gives."""
+        return list(self._function(self.x))
 
     def values(self, params: Parameters) -> np.ndarray:
         """Return the numbers."""
@@ -206,3 +256,74 @@ class Function:
         self.x = state.copy()
         for name, values in self._function(self.x).items():
             params[name] = np.asarray(values, np.float32)
+
+
+class Taped(Unknowns):
+    """Many numbers that Warp kernels take to parameters; the kernels are differentiated by their tape.
+
+    A mesh whose vertices follow a coarse cage, or a texture that a grid of few numbers makes smooth.
+
+    Args:
+        function: array of ``start``'s type and shape -> name -> array of the parameter's type and shape. What it
+            launches has to be on ``wp.Tape``: it is called within one.
+        start: where the numbers start, of single precision (vectors likewise).
+        labels: names of all single numbers; default ``x[0]``, ...
+    """
+
+    def __init__(
+        self, function: Callable[[wp.array], dict[str, wp.array]], start: wp.array, labels: Sequence[str] | None = None
+    ):
+        self.x, self._function = wp.clone(start, requires_grad=True), function
+        size = self.x.numpy().size
+        self.labels = list(labels) if labels is not None else [f"x[{i}]" for i in range(size)]
+        if len(self.labels) != size:
+            raise ValueError(f"Taped: got {len(self.labels)} labels of {size} numbers")
+
+    def _of(self, values: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the parameters of other numbers."""
+        x = wp.array(values.reshape(self.x.numpy().shape).astype(np.float32), dtype=self.x.dtype, device=self.x.device)
+        return {name: array.numpy() for name, array in self._function(x).items()}
+
+    def names(self, params: Parameters) -> list[str]:
+        """Return what the function gives."""
+        return list(self._function(self.x))
+
+    def values(self, params: Parameters) -> np.ndarray:
+        """Return the numbers in a row."""
+        return self.x.numpy().astype(float).ravel()
+
+    def tangents(self, params: Parameters) -> list[dict[str, np.ndarray]]:
+        """Return one number each."""
+        return [self.push(params, row) for row in np.eye(len(self.labels))]
+
+    def push(self, params: Parameters, direction: np.ndarray) -> dict[str, np.ndarray]:
+        """Return a central difference along the direction."""
+        x, size = self.values(params), float(np.abs(direction).max())
+        if size == 0.0:
+            return {}
+        h = SINGLE_STEP * max(float(np.abs(x).max()), 1.0) / size
+        high, low = self._of(x + h * direction), self._of(x - h * direction)
+        return {name: (high[name] - low[name]) / np.float32(2.0 * h) for name in high}
+
+    def pull(self, params: Parameters, gradients: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Return what the tape gives."""
+        self.x.grad.zero_()
+        with wp.Tape() as tape:
+            arrays = self._function(self.x)
+        grads = {a: wp.array(gradients[n], dtype=a.dtype, device=a.device) for n, a in arrays.items() if n in gradients}
+        tape.backward(grads=grads)
+        return self.x.grad.numpy().astype(float).ravel()
+
+    def move(self, params: Parameters, step: np.ndarray) -> None:
+        """Add the step."""
+        self.restore(params, (self.values(params) + step).reshape(self.x.numpy().shape))
+
+    def state(self, params: Parameters) -> Any:
+        """Return the numbers."""
+        return self.x.numpy().copy()
+
+    def restore(self, params: Parameters, state: Any) -> None:
+        """Take other numbers."""
+        self.x.assign(state.astype(np.float32))
+        for name, values in self._function(self.x).items():
+            params[name] = values.numpy()
