@@ -16,7 +16,7 @@ def solved(photo, **more):
     return params, found
 
 
-def test_a_pose_and_an_exposure_come_back_within_their_bars(photo):
+def test_a_pose_and_an_exposure_come_back_within_their_bars(photo, tmp_path):
     told = []
     params, found = solved(photo, progress=told.append)
     assert len(told) == len(found.steps) <= 14 and "taken" in str(told[0])
@@ -30,6 +30,10 @@ def test_a_pose_and_an_exposure_come_back_within_their_bars(photo):
     assert 0.001 < found.rms < 0.02
     sizes = [size for size, _direction in found.directions]
     assert sizes == sorted(sizes, reverse=True) and len(sizes) == 7
+    softest = found.motion(params)
+    assert list(softest) == [POSE] and np.abs(softest[POSE]).max() > 0.5 * found.std[:6].max()
+    psdr.view(params.scene, params, fields=softest, screenshot=tmp_path / "softest.png")
+    assert (tmp_path / "softest.png").stat().st_size > 1000
     assert "95 % bars" in str(found) and "exposure" in found._repr_html_()
 
 
@@ -68,6 +72,19 @@ def test_a_function_of_few_numbers_moves_parameters(photo):
     assert np.all((low < [0.2, 0.5]) & ([0.2, 0.5] < high))
 
 
+def test_steps_out_of_a_range_are_not_taken(photo):
+    scene = psdr.load_dict(node(TRUE))
+    params = psdr.traverse(scene)
+    name = next(n for n in params if n.endswith("reflectance.data"))
+    levels = psdr.unknowns.Function(lambda x: {name: x[0] + x[1] * SQUARES}, [0.3, 0.3])
+    levels.restore(params, levels.x)
+    # At this exposure the light squares reflect more than all.
+    with pytest.warns(RuntimeWarning, match="8 steps were not enough"):
+        found = psdr.solve(scene, params, psdr.Photograph(photo, exposure=0.45), unknowns=[levels], spp=8, steps=8)
+    assert 0.9 < found.values.sum() <= 1.0
+    np.testing.assert_allclose(params[name].numpy().max(), found.values.sum(), rtol=1e-6)
+
+
 def test_what_pictures_do_not_tell_is_named(photo):
     scene = psdr.load_dict(node(TRUE))
     params = psdr.traverse(scene)
@@ -77,6 +94,8 @@ def test_what_pictures_do_not_tell_is_named(photo):
         found = psdr.solve(scene, params, both, spp=8)
     assert np.isinf(found.std).all() and len(found.undetermined) == 3
     assert "not determined" in str(found)
+    with pytest.raises(ValueError, match="the pictures do not tell"):
+        found.motion(params)
 
 
 def test_a_wrong_start_is_told(photo):

@@ -84,7 +84,8 @@ def solution(
     """Return values from two looks at the end, with their errors if ``bars``; warn where they are not to be trusted."""
     found = estimated(problem, a, b, robust) if bars else None
     rms, unlike = _residual(problem, a, b)
-    solved = Solution(tuple(problem.labels), problem.values(), found, rms, tuple(steps), reason)
+    unknowns = tuple(problem.unknowns)
+    solved = Solution(tuple(problem.labels), problem.values(), found, rms, tuple(steps), reason, unknowns)
     _warn(solved.undetermined, unlike, reason)
     return solved
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from warp_psdr.observe.photograph import Photograph
 from warp_psdr.observe.solution import described
-from warp_psdr.observe.unknowns import Entries, Unknowns
+from warp_psdr.observe.unknowns import Entries, Unknowns, pushed
 from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.parameters import traverse
 
@@ -175,11 +175,7 @@ class Problem:
     def pushed(self, direction: np.ndarray, look: list[Side]) -> list[np.ndarray]:
         """Return J d of a look without ``each``: how residuals of all views change along a direction (n,)."""
         found = []
-        parts = np.split(direction[: sum(self._sizes)], np.cumsum(self._sizes)[:-1]) if self._sizes else []
-        total: dict[str, np.ndarray] = {}
-        for u, part in zip(self.unknowns, parts, strict=True):
-            for name, velocity in u.push(self.params, part).items():
-                total[name] = total.get(name, np.float32(0.0)) + velocity
+        total = pushed(self.unknowns, self.params, direction)
         for (sensor, photograph), side in zip(self.views, look, strict=True):
             moved = np.einsum("k,khwc->hwc", direction[side.numbers], side.columns)
             row = self._seen(total, sensor)

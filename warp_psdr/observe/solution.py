@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy import stats
 
 from warp_psdr import html
+from warp_psdr.observe.unknowns import Unknowns, pushed
+
+if TYPE_CHECKING:
+    from warp_psdr.scene.parameters import Parameters
 
 __all__ = ["Errors", "Solution", "Step"]
 
@@ -88,6 +93,7 @@ class Solution:
         rms: of the residuals, in code values of the photographs.
         steps: how the solver went.
         reason: why it stopped.
+        unknowns: kinds of the numbers, in order; a photograph's own follow them.
     """
 
     labels: tuple[str, ...]
@@ -95,7 +101,8 @@ class Solution:
     errors: Errors | None = field(repr=False)
     rms: float
     steps: tuple[Step, ...] = field(repr=False)
-    reason: str = ""
+    reason: str
+    unknowns: tuple[Unknowns, ...] = field(repr=False)
 
     def _known(self) -> Errors:
         if self.errors is None:
@@ -147,6 +154,27 @@ class Solution:
         scale = np.where(std > 0.0, std, 1.0)
         sizes, axes = np.linalg.eigh(self.covariance / np.outer(scale, scale))
         return [(float(np.sqrt(max(sizes[i], 0.0))), axes[:, i]) for i in range(len(sizes))[::-1]]
+
+    def motion(self, params: Parameters, direction: int = 0) -> dict[str, np.ndarray]:
+        """Return how parameters move by one standard deviation along a direction: what the pictures tell least.
+
+        ``psdr.view(scene, params, fields=found.motion(params))`` draws it, if positions or shapes' poses are unknown.
+
+        Args:
+            params: of the scene.
+            direction: its place in ``directions``, softest first.
+
+        Returns:
+            Name -> change, in the parameter's shape.
+
+        Raises:
+            ValueError: there are no error bars, or they are infinite.
+            IndexError: there are fewer directions.
+        """
+        if not (found := self.directions):
+            raise ValueError(f"solution: the pictures do not tell {' and '.join(self.undetermined)}; fix one of them")
+        size, axis = found[direction]
+        return pushed(self.unknowns, params, size * axis * self.std)
 
     def rows(self) -> list[tuple[str, str, str]]:
         """Return the table's rows: name, value, 95 % bar; the first 24."""

@@ -11,6 +11,7 @@ Derivation: ``docs/theory/photographs.md``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Literal, get_args
 
@@ -116,9 +117,7 @@ def solve(
         while True:
             step = equations.step(damping)
             promised, below = equations.promised(step), equations.within(step, damping)
-            problem.move(step)
-            first, second = (problem.residuals(look[0].seed, samples) for look in (a, b))
-            loss = _loss(first, second, robust)
+            loss = _loss_after(problem, step, a, b, robust, samples)
             gain = (before - loss) / promised if promised > 0.0 else -1.0
             if gain >= TAKEN:
                 break
@@ -191,6 +190,22 @@ def _looks(
             weight = np.minimum(1.0, huber * scale / np.maximum(size, 1e-30))
         robust.append(np.where(counts, weight, 0.0))
     return a, b, robust
+
+
+def _loss_after(
+    problem: Problem, step: np.ndarray, a: list[Side], b: list[Side], robust: list[np.ndarray], spp: int
+) -> float:
+    """Take a step and return the loss there, seen with the random numbers of two looks.
+
+    It is infinite where the step leaves what parameters may be: a lens that folds, for example. The scene rendered
+    where the step began, so that a shorter step is the cure.
+    """
+    try:
+        problem.move(step)
+        first, second = (problem.residuals(look[0].seed, spp) for look in (a, b))
+    except ValueError:
+        return math.inf
+    return _loss(first, second, robust)
 
 
 def _loss(first: list[np.ndarray], second: list[np.ndarray], robust: list[np.ndarray]) -> float:

@@ -73,6 +73,18 @@ class Unknowns(ABC):
         return np.array([sum(float((gradients[k].astype(float) * v).sum()) for k, v in row.items()) for row in rows])
 
 
+def pushed(unknowns: Sequence[Unknowns], params: Parameters, direction: np.ndarray) -> dict[str, np.ndarray]:
+    """Return how parameters move if all numbers move along a direction, whose further numbers are not theirs."""
+    total: dict[str, np.ndarray] = {}
+    first = 0
+    for u in unknowns:
+        last = first + len(u.values(params))
+        for name, velocity in u.push(params, direction[first:last]).items():
+            total[name] = total.get(name, np.float32(0.0)) + velocity
+        first = last
+    return total
+
+
 class Entries(Unknowns):
     """Every number of a parameter by itself.
 
