@@ -98,7 +98,7 @@ def lenses(study: Board, left: Camera, right: Camera, found: dict) -> list[dict]
         for i, label in enumerate(LABELS):
             row = {"camera": side, "number": label, "start": camera.start.numbers[i], "found": camera.unknown.x[i]}
             row |= {"95 % bar": 0.5 * (high[i] - low[i])}
-            rows.append(row | ({} if theirs is None else {"OpenCV's": theirs[i]}))
+            rows.append(row | {"OpenCV's": "none" if theirs is None else theirs[i]})
     return rows
 
 

@@ -160,7 +160,8 @@ def _of_blocks(
     share = np.concatenate(shares)
     of_blocks = np.concatenate(scores) / np.maximum(1.0 - share, LEAST_REST)[:, None]
     # As many blocks tell as much as equal ones would.
-    freedom = max(round(float(share.sum() ** 2 / (share**2).sum())) - 1, 1)
+    squares = float((share**2).sum())
+    freedom = max(round(float(share.sum()) ** 2 / squares) - 1, 1) if squares > 0.0 else 1
     return inverse @ (of_blocks.T @ of_blocks) @ inverse, freedom
 
 
