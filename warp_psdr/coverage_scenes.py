@@ -162,6 +162,8 @@ EFFECTS: dict[str, Callable[[Parts], Parts]] = {
     "sky": _with(sky={"type": "constant", "radiance": _rgb(0.5)}),
     "transient film": _film(**BINS),
     "thin lens": _sensor(type="thinlens", aperture_radius=0.05, focus_distance=4.0),
+    "lens distortion": _sensor(distortion="opencv", k1=-0.2, k2=0.05, p1=0.002),
+    "fisheye": _sensor(distortion="fisheye", k1=0.02),
     "orthographic camera": _orthographic,
     "radiancemeter": _meter("radiancemeter"),
     "irradiancemeter": _meter("irradiancemeter"),
