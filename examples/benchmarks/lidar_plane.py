@@ -9,7 +9,7 @@ Ten shots calibrate the lidar: widths of bins, offsets and gains of zones, the p
 view and how the plane is turned. The plane of each other shot starts where the peaks of its histograms are, and
 ``psdr.solve`` finds distance, albedo and background from all bins. Peaks alone are compared with: the median of the
 zones, each on the line that fits the same ten shots. The pulse that the lidar's reference detector saw is where the
-pulse starts. As it is it fits no zone: ten bins behind the peak it has .09 of it, the zones .04.
+pulse starts. As it is it fits no zone: ten bins behind the peak it has .05 of it, the zones .01.
 """
 
 from __future__ import annotations
