@@ -38,6 +38,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.invalid import invalid_samples
     from warp_psdr.moment import render_moment
     from warp_psdr.newton import from_newton
+    from warp_psdr.observe.observation import Observation
     from warp_psdr.observe.photograph import Photograph
     from warp_psdr.observe.solve import solve
     from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
@@ -65,6 +66,7 @@ __all__ = [
     "Coverage",
     "Film",
     "Image",
+    "Observation",
     "Parameters",
     "PathIntegrator",
     "Photograph",
@@ -127,6 +129,7 @@ _PUBLIC = {
     "Coverage": "coverage",
     "Film": "film",
     "Image": "image",
+    "Observation": "observe.observation",
     "Parameters": "scene.parameters",
     "PathIntegrator": "options.integrator",
     "Photograph": "observe.photograph",

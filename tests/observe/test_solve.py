@@ -128,7 +128,7 @@ def test_bad_requests_are_refused(photo):
     params = psdr.traverse(scene)
     with pytest.raises(ValueError, match="nothing is unknown"):
         psdr.solve(scene, params, psdr.Photograph(photo))
-    with pytest.raises(ValueError, match="40 x 29 pixels after reduce"):
+    with pytest.raises(ValueError, match="40 x 29 pixels, the film"):
         psdr.solve(scene, params, psdr.Photograph(photo[1:], unknowns=["exposure"]))
     params.requires_grad("board.bsdf.*.data")
     with pytest.raises(ValueError, match="takes up to 512"):

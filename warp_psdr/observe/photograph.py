@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from warp_psdr.image_io import read_image, srgb_to_linear
+from warp_psdr.observe.observation import Observation
 
 __all__ = ["Photograph"]
 
@@ -34,7 +35,7 @@ UNKNOWNS = {"exposure": 1, "white_balance": 3, "gamma": 1, "vignetting": 0}
 DARK = 0.02
 
 
-class Photograph:
+class Photograph(Observation):
     """A photograph, for ``psdr.solve``.
 
     Args:
@@ -184,6 +185,14 @@ class Photograph:
     def residual(self, image: np.ndarray) -> np.ndarray:
         """Return what an image has too much, weighted, (H, W, 3)."""
         return self.weights * (self.gain() * image + self.black - self.linear)
+
+    def pushed(self, image: np.ndarray, moved: np.ndarray) -> np.ndarray:
+        """Return the derivative of the residual where an image has the derivative ``moved``, (H, W, 3)."""
+        return self.weights * self.gain() * moved
+
+    def pulled(self, image: np.ndarray, adjoint: np.ndarray) -> np.ndarray:
+        """Return what ``pushed`` makes of an image's derivative, transposed, (H, W, 3)."""
+        return self.weights * self.gain() * adjoint
 
     def derivatives(self, image: np.ndarray) -> np.ndarray:
         """Return the residual's derivatives by the unknown numbers, (n, H, W, 3)."""

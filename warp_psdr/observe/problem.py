@@ -1,4 +1,4 @@
-"""Rendered images beside photographs: residuals, their derivatives by all unknown numbers, and normal equations."""
+"""Rendered images beside what was seen: residuals, their derivatives by all unknown numbers, and normal equations."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_psdr.observe.observation import Observation
 from warp_psdr.observe.photograph import Photograph
 from warp_psdr.observe.solution import described
 from warp_psdr.observe.unknowns import Entries, Unknowns, pushed
+from warp_psdr.plan.transient import shape_of
 from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.parameters import traverse
 
@@ -35,10 +37,10 @@ class Side:
     """One of two independent looks at a photograph.
 
     Attributes:
-        image: (H, W, 3), rendered.
-        residual: (H, W, 3), weighted.
+        image: rendered, (H, W, 3), or (H, W, bins, 3) of a transient film.
+        residual: (H, W, C), weighted.
         numbers: (k,) which unknowns move it.
-        columns: (k, H, W, 3) derivatives of the residual by these; with conjugate gradients by the photograph's own.
+        columns: (k, H, W, C) derivatives of the residual by these; with conjugate gradients by the photograph's own.
         seed: of its random numbers.
         spp: samples a pixel of derivatives.
     """
@@ -102,7 +104,7 @@ class Problem:
         parts = [u.values(self.params) for u in self.unknowns]
         return np.concatenate([*parts, *(p.unknown_values for p in self._photographs())])
 
-    def _photographs(self) -> list[Photograph]:
+    def _photographs(self) -> list[Observation]:
         return list({id(photograph): photograph for _sensor, photograph in self.views}.values())
 
     def look(self) -> None:
@@ -152,18 +154,18 @@ class Problem:
         found = []
         for (sensor, photograph), image in zip(self.views, self.images(seed, spp), strict=True):
             numbers, columns = [], []
-            scale = photograph.weights * photograph.gain()
             for i, row in enumerate(tangents):
                 row = self._seen(row, sensor)
                 if row:
                     moved = render_forward(self.scene, self.params, row, sensor=sensor, **options).numpy()
                     numbers.append(i)
-                    columns.append((scale * moved).astype(np.float32))
-            first, own = self._firsts[id(photograph)], photograph.derivatives(image)
+                    columns.append(photograph.pushed(image, moved).astype(np.float32))
+            residual, own = photograph.residual(image), photograph.derivatives(image)
+            first = self._firsts[id(photograph)]
             numbers += range(first, first + len(own))
             columns += list(own.astype(np.float32))
-            stacked = np.stack(columns) if columns else np.zeros((0, *image.shape), np.float32)
-            found.append(Side(image, photograph.residual(image), np.array(numbers, int), stacked, seed, spp))
+            stacked = np.stack(columns) if columns else np.zeros((0, *residual.shape), np.float32)
+            found.append(Side(image, residual, np.array(numbers, int), stacked, seed, spp))
         return found
 
     def groups(self) -> list[slice]:
@@ -182,19 +184,19 @@ class Problem:
             if row:
                 options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
                 image = render_forward(self.scene, self.params, row, sensor=sensor, **options).numpy()
-                moved += photograph.weights * photograph.gain() * image
+                moved += photograph.pushed(side.image, image)
             found.append(moved)
         return found
 
     def pulled(self, images: list[np.ndarray], look: list[Side]) -> np.ndarray:
-        """Return J^T y of a look without ``each``: (n,), ``images`` y, (H, W, 3) for each view."""
+        """Return J^T y of a look without ``each``: (n,), ``images`` y, (H, W, C) for each view."""
         params, found = self._reversed, np.zeros(self.size)
         names = dict.fromkeys(name for u in self.unknowns for name in u.names(self.params))
         params.requires_grad_only(*names)
         params.zero_grad()
         for (sensor, photograph), side, image in zip(self.views, look, images, strict=True):
             if names:
-                adjoint = (photograph.weights * photograph.gain() * image).astype(np.float32)
+                adjoint = photograph.pulled(side.image, image).astype(np.float32)
                 options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
                 render_backward(self.scene, params, adjoint, sensor=sensor, **options)
             found[side.numbers] += np.einsum("hwc,khwc->k", image, side.columns)
@@ -211,22 +213,27 @@ class Problem:
         return {name: row for name, row in tangents.items() if not name.startswith(others)}
 
 
-def _views(scene: Scene, observations: Any) -> list[tuple[int, Photograph]]:
-    """Return (sensor, photograph) of all observations."""
+def _views(scene: Scene, observations: Any) -> list[tuple[int, Observation]]:
+    """Return (sensor, observation) of all observations."""
     given = dict(observations) if isinstance(observations, Mapping) else {0: observations}
     found = []
     for sensor, observation in given.items():
         number = scene.description.views(sensor).sensors[0]
-        photograph = observation if isinstance(observation, Photograph) else Photograph(observation, response=None)
-        film = scene.description.sensors[number].film
-        size = (film.crop_height, film.crop_width)
-        if photograph.shape != size:
+        seen = observation if isinstance(observation, Observation) else Photograph(observation, response=None)
+        shape = shape_of(scene, number)
+        if seen.shape != shape:
             raise ValueError(
-                f"{photograph.name} has {photograph.shape[1]} x {photograph.shape[0]} pixels after reduce, the film of "
-                f"sensor {sensor!r} {size[1]} x {size[0]}; give the film that size, or reduce the photograph"
+                f"{seen.name} has {_size(seen.shape)}, the film of sensor {sensor!r} {_size(shape)}; give the film "
+                "that size, or reduce the photograph; a transient film takes a psdr.Observation of its shape"
             )
-        found.append((number, photograph))
+        found.append((number, seen))
     return found
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    """Return the size of an image in words."""
+    bins = f" of {shape[2]} bins" if len(shape) > 2 else ""
+    return f"{shape[1]} x {shape[0]} pixels{bins}"
 
 
 @dataclass(frozen=True)
@@ -236,7 +243,7 @@ class Normal:
     Attributes:
         h: (n, n) J_1^T W J_2, symmetrised.
         apart: of each photograph: which unknowns move it (k,), and half of the difference of J_1 and J_2 there, times
-            the square root of W, (k, pixels, 3).
+            the square root of W, (k, pixels, C).
         g_a: (n,) J_2^T W r_1.
         g_b: (n,) J_1^T W r_2.
     """
@@ -308,7 +315,7 @@ def normal_equations(a: list[Side], b: list[Side], robust: list[np.ndarray], siz
         ja, jb = (s.columns.reshape(len(n), -1) for s in (one, other))
         weights = np.broadcast_to(w, one.residual.shape).ravel().astype(np.float32)
         product = (ja * weights) @ jb.T
-        apart.append((n, (0.5 * np.sqrt(weights) * (ja - jb)).reshape(len(n), -1, 3)))
+        apart.append((n, (0.5 * np.sqrt(weights) * (ja - jb)).reshape(len(n), -1, one.residual.shape[2])))
         h[np.ix_(n, n)] += 0.5 * (product + product.T)
         g_a[n] += jb @ (weights * one.residual.ravel())
         g_b[n] += ja @ (weights * other.residual.ravel())

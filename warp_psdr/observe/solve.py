@@ -74,7 +74,8 @@ def solve(
     Args:
         scene: a loaded scene, which holds the start; at the end it holds the values found.
         params: its parameters.
-        observations: a ``psdr.Photograph``, or a linear image (H, W, 3), of sensor 0; or sensor -> such, for several.
+        observations: a ``psdr.Photograph``, any ``psdr.Observation``, or a linear image (H, W, 3), of sensor 0; or
+            sensor -> such, for several.
         unknowns: ``psdr.unknowns.Rigid``, ``Function``, ``Taped`` or ``Entries``. Default: all entries of what
             ``params.requires_grad`` named.
         integrator: as of ``render``.
@@ -92,7 +93,7 @@ def solve(
         Values, standard deviations, covariance, its directions, and how the steps went.
 
     Raises:
-        ValueError: nothing is unknown; more than 512 numbers with "dense"; a photograph has another size; no unknown
+        ValueError: nothing is unknown; more than 512 numbers with "dense"; an observation has another size; no unknown
             changes any picture.
 
     Warns:
