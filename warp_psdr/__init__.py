@@ -40,6 +40,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.newton import from_newton
     from warp_psdr.observe.observation import Observation
     from warp_psdr.observe.photograph import Photograph
+    from warp_psdr.observe.solution import Solution
     from warp_psdr.observe.solve import solve
     from warp_psdr.options.integrator import AovIntegrator, PathIntegrator
     from warp_psdr.options.methods import methods
@@ -73,6 +74,7 @@ __all__ = [
     "Plan",
     "Scene",
     "SceneWarning",
+    "Solution",
     "Trace",
     "Transform",
     "accuracy",
@@ -136,6 +138,7 @@ _PUBLIC = {
     "Plan": "plan.plan",
     "Scene": "scene.scene",
     "SceneWarning": "scene.load",
+    "Solution": "observe.solution",
     "Trace": "estimate.trace",
     "Transform": "scene.transforms",
     "accuracy": "accuracy.pilot",

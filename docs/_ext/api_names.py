@@ -14,7 +14,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),
     "Plan and cost": ("plan", "coverage", "accuracy", "compile", "methods", "Plan", "Coverage", "Compilation"),
     "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),
-    "Photographs": ("Photograph", "Observation", "solve"),
+    "Photographs": ("Photograph", "Observation", "solve", "Solution"),
     "Pictures and files": ("view", "read_image", "write_image"),
     "More": (
         *("set_workers", "set_vector_width", "set_ray_backend", "invalid_samples", "trace_sample"),
