@@ -21,7 +21,7 @@ from scipy import stats
 from scipy.spatial.transform import Rotation
 
 #: Samples of a derivative; how far off poses start, degrees and m; the rig's length as a ruler tells it, m.
-SPP, OFF, RULER = 8, (1.0, 0.004), 0.08
+SPP, OFF, RULER = 4, (1.0, 0.004), 0.08
 #: What the lens's numbers are, and where they start.
 LABELS = ("f", "x", "y", "k1", "k2", "p1", "p2", "k3")
 START = Lens(np.array([546.0, 319.5, 239.5, -0.2, 0.0, 0.0, 0.0, 0.0]))
