@@ -22,6 +22,7 @@ from warp_psdr.estimate.arguments import (
     sample_count,
 )
 from warp_psdr.estimate.arguments import samples as checked_samples
+from warp_psdr.estimate.batches import add_in_batches, count_in_batches
 from warp_psdr.estimate.calls import ImageCall, derivative
 from warp_psdr.estimate.draw import Draw
 from warp_psdr.estimate.films import Rectangle, film
@@ -254,6 +255,7 @@ def render_backward(
     target_error: float | None = None,
     time_budget: float | None = None,
     report: Report | None = None,
+    errors: bool = False,
 ) -> Reached | None:
     """Add the gradient of ``sum(adjoint * image)`` to ``params[name].grad`` of every requested parameter.
 
@@ -278,6 +280,9 @@ def render_backward(
             the parameters. Samples are split over the terms, and over the image, by what they gain for their time.
         time_budget: instead of ``spp``: seconds to be spent, after compiling.
         report: of ``psdr.accuracy`` for this call, or one like it; a budget without one runs a pilot of its own.
+        errors: also tell how far random numbers may have moved each number: ``params[name].std`` becomes the standard
+            deviation of ``params[name].grad``, in its shape; ``params.zero_grad()`` sets both to zero. The gradient is
+            the mean of eight of ``spp`` / 8 samples each, so that bars have seven degrees of freedom (95 %: 2.4 times).
 
     Returns:
         What a budget bought; None without one.
@@ -291,8 +296,9 @@ def render_backward(
 
     check_loaded(scene)
     views = scene.description.views(sensor)
-    if samples is not None:
-        refuse_budget("samples", target_error=target_error, time_budget=time_budget, report=report)
+    for option, given in (("samples", samples is not None), ("errors", errors)):
+        if given:
+            refuse_budget(option, target_error=target_error, time_budget=time_budget, report=report)
     if budget.check(spp, target_error, time_budget, report):
         what = quantities.gradient(scene, views, params, adjoint, integrator=integrator)
         wanted = budget.Budget(target_error, time_budget, report)
@@ -301,18 +307,18 @@ def render_backward(
             total = wp.array(values[block].astype(np.float32), dtype=wp.float32, device=scene.device)
             add_to_gradient(params[name], total, 0)
         return bought
-    arrays = {name: params[name] for name in requested(scene, params)}
-    _add_gradient(
-        scene,
-        arrays,
-        adjoint,
-        sensor=sensor,
-        integrator=integrator_of(scene, integrator),
-        spp=spp,
-        samples=samples,
-        seed=checked_seed(seed),
-        progress=progress,
-    )
+    names, method = requested(scene, params), integrator_of(scene, integrator)
+
+    def add(arrays: dict[str, wp.array], spp: int | None, seed: int, progress: Progress | None) -> None:
+        options: dict[str, Any] = {"spp": spp, "samples": samples, "seed": seed, "progress": progress}
+        _add_gradient(scene, arrays, adjoint, sensor=sensor, integrator=method, **options)
+
+    if errors:
+        if samples is not None:
+            raise ValueError("render_backward: errors and samples exclude each other: a range is no estimate by itself")
+        add_in_batches(params, names, add, count_in_batches(scene, views, spp), checked_seed(seed), progress)
+    else:
+        add({name: params[name] for name in names}, spp, checked_seed(seed), progress)
     return None
 
 

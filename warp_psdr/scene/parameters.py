@@ -269,6 +269,7 @@ class Parameters(Mapping):
         for name in self._requested:
             if name not in requested:
                 self[name].requires_grad = False
+                vars(self[name]).pop("std", None)
         for name in requested:
             if self[name].grad is None:
                 self[name].requires_grad = True
@@ -280,9 +281,11 @@ class Parameters(Mapping):
         return list(self._requested)
 
     def zero_grad(self) -> None:
-        """Set the gradients of the requested parameters to zero."""
+        """Set the gradients of the requested parameters, and their standard deviations, to zero."""
         for name in self._requested:
             self[name].grad.zero_()
+            if (std := getattr(self[name], "std", None)) is not None:
+                std.zero_()
 
     def bounds(self, name: str) -> tuple[float, float]:
         """Return the valid range of a parameter's values, for example (0, 1) for a reflectance."""

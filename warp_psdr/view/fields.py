@@ -27,6 +27,7 @@ class Field:
     quantity: str = ""  #: how the values come from vectors or colours, for the caption
     uvs: np.ndarray | None = None  #: on "texel": (N, 2), where the texture is read, ``to_uv`` applied
     wrap: Literal["repeat", "mirror", "clamp"] = "repeat"
+    unsure: np.ndarray | None = None  #: of vectors: (N,), which are below two of their standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +36,7 @@ class Arrows:
 
     starts: np.ndarray  #: (K, 3)
     vectors: np.ndarray  #: (K, 3)
+    unsure: np.ndarray  #: (K,), drawn in grey
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -172,6 +174,7 @@ def arrows(
     vectors: Any,
     *,
     normals: Any = None,
+    unsure: Any = None,
     count: int = 160,
     length: float | None = None,
     limit: float | None = None,
@@ -183,6 +186,7 @@ def arrows(
         vertices: (N, 3).
         vectors: (N, 3), in any unit; those that are not finite are left out, as those below 2 % of the limit.
         normals: (N, 3); an arrow against its normal ends at the vertex, others start there.
+        unsure: (N,), which vectors noise may have made.
         count: About as many arrows as wanted; never more than twice that.
         length: Of the longest arrow, in the unit of the vertices; a tenth of the bounding box's diagonal when missing.
         limit: Magnitude that the longest arrow stands for; longer vectors are cut to it.
@@ -217,4 +221,4 @@ def arrows(
     if normals is not None:
         inwards = np.einsum("ij,ij->i", drawn, as_array(normals)[kept]) < 0.0
         starts[inwards] -= drawn[inwards]
-    return Arrows(starts, drawn)
+    return Arrows(starts, drawn, np.zeros(len(kept), bool) if unsure is None else np.asarray(unsure, bool)[kept])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -77,7 +77,8 @@ def view(
     Positions and normals are drawn as arrows (the direction in which the value grows) and as the component along the
     vertex normal, control points of curves on their tubes, values of grids of signed distances on their surface (how
     the value grows as it moves outwards), poses of shapes and weights of networks as the motion of their surface in a
-    step along the gradient; textures through their texture coordinates; attributes,
+    step along the gradient; arrows shorter than two of their standard deviations (``render_backward(errors=True)``) are
+    grey; textures through their texture coordinates; attributes,
     constants and the two texture coordinates as colours; coefficients of media on the shapes that bound them, voxels as
     their sums along each axis, on planes through the middle of their box; environment maps on a sphere around the
     scene, seen from outside in two panels, towards and against the camera's direction. Parameters of one kind, such as
@@ -116,7 +117,8 @@ def view(
     values = dict(params) if params is not None else {}
     surfaces = [surface_of(values, shape) for shape in description.shapes]
     center, radius = _bounds(surfaces)
-    panels = _panels(description, values, surfaces, _named_arrays(params, fields), center, radius, reduce)
+    panels = _panels(description, values, surfaces, _named_arrays(params, fields), _deviations(params, fields),
+                     center, radius, reduce)  # fmt: skip
     cells, whole = arrangement(len(panels), window_size, labels=bool(panels[0].fields))
     labels = [_labels(panel, percentile) for panel in panels]
 
@@ -176,6 +178,14 @@ def _named_arrays(params: Mapping[str, Any] | None, fields: Any) -> dict[str, np
     return arrays
 
 
+def _deviations(params: Mapping[str, Any] | None, fields: Any) -> dict[str, np.ndarray]:
+    """Return the standard deviations of the gradients to draw, where ``render_backward`` told them."""
+    if params is None or fields is None or isinstance(fields, Mapping):
+        return {}
+    found = {n: getattr(params[n], "std", None) for n in ([fields] if isinstance(fields, str) else fields)}
+    return {name: as_array(std) for name, std in found.items() if std is not None}
+
+
 def _surface_textures(shape: ShapeDescription) -> Iterator[TextureDescription]:
     for side in shape.bsdf.sides:
         yield from side.textures.values()
@@ -188,6 +198,7 @@ def _panels(
     values: Mapping[str, Any],
     surfaces: list[Surface],
     arrays: dict[str, np.ndarray],
+    deviations: dict[str, np.ndarray],
     center: np.ndarray,
     radius: float,
     reduce: Reduce,
@@ -216,6 +227,9 @@ def _panels(
                 vectors = _reshaped(name, arrays[name], (len(vertices), 3))
                 normals = vertex_normals(vertices, faces) * (-1.0 if shape.flip_normals else 1.0)
                 field = mesh_field(vertices, faces, vectors, vectors=True, normals=normals)
+                if name in deviations:
+                    length, deviation = (np.linalg.norm(v, axis=1) for v in (vectors, deviations[name]))
+                    field = replace(field, unsure=length < 2.0 * deviation)
                 add(name, shape.path, field, vectors, normals)
         for name, (size, drawn) in own_fields(values, shape, (vertices, faces, texcoords)).items():
             drawable.add(name)
@@ -402,7 +416,7 @@ def _draw_fields(plotter: Any, panel: _Panel, percentile: float) -> None:
     moving = [(field, vector, normals) for field, vector, normals in panel.fields if vector is not None]
     for field, vector, normals in moving if longest is not None else ():
         share = max(160 // len(moving), 20)
-        drawn = arrows(field.vertices, vector, normals=normals, limit=longest, count=share)
+        drawn = arrows(field.vertices, vector, normals=normals, unsure=field.unsure, limit=longest, count=share)
         if len(drawn.starts):
             _draw_arrows(plotter, drawn)
 
@@ -410,11 +424,13 @@ def _draw_fields(plotter: Any, panel: _Panel, percentile: float) -> None:
 def _draw_arrows(plotter: Any, drawn: Arrows) -> None:
     import pyvista
 
-    points = pyvista.PolyData(drawn.starts.astype(np.float32))
-    points["vector"] = drawn.vectors.astype(np.float32)
     shape = pyvista.Arrow(tip_length=0.35, tip_radius=0.12, shaft_radius=0.04, tip_resolution=12, shaft_resolution=8)
-    glyphs = points.glyph(orient="vector", scale="vector", factor=1.0, geom=shape)
-    plotter.add_mesh(glyphs, color=(0.1, 0.1, 0.1), ambient=0.4, show_scalar_bar=False)
+    for chosen, grey in ((~drawn.unsure, 0.1), (drawn.unsure, 0.65)):
+        if np.any(chosen):
+            points = pyvista.PolyData(drawn.starts[chosen].astype(np.float32))
+            points["vector"] = drawn.vectors[chosen].astype(np.float32)
+            glyphs = points.glyph(orient="vector", scale="vector", factor=1.0, geom=shape)
+            plotter.add_mesh(glyphs, color=(grey, grey, grey), ambient=0.4, show_scalar_bar=False)
 
 
 def _draw_light_markers(
