@@ -34,7 +34,7 @@ from warp_psdr import plots
 
 #: Samples a pixel of the images that judge, of those that are only shown, and the first of their seeds, which no step
 #: has.
-JUDGE_SPP, SHOWN_SPP, JUDGE_SEED = 2048, 128, 2**31
+JUDGE_SPP, SHOWN_SPP, JUDGE_SEED = 512, 128, 2**31
 #: A stage's rates are constant for this share of its steps and then fall by this factor.
 CONSTANT, FALL = 0.4, 0.1
 #: Steps between two lines of output.
