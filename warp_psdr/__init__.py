@@ -28,6 +28,8 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
     from warp_psdr.bind import bind
+    from warp_psdr.certify.certificate import Certificate
+    from warp_psdr.certify.certify import certify
     from warp_psdr.coverage import Coverage, coverage
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
@@ -61,6 +63,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AovIntegrator",
     "BoundaryTrace",
+    "Certificate",
     "Compilation",
     "Coverage",
     "Film",
@@ -77,6 +80,7 @@ __all__ = [
     "bind",
     "boundary",
     "cameras",
+    "certify",
     "compile",
     "cornell_box",
     "coverage",
@@ -123,6 +127,7 @@ __all__ = [
 _PUBLIC = {
     "AovIntegrator": "options.integrator",
     "BoundaryTrace": "estimate.boundary.trace",
+    "Certificate": "certify.certificate",
     "Compilation": "estimate.compile",
     "Coverage": "coverage",
     "Film": "film",
@@ -137,6 +142,7 @@ _PUBLIC = {
     "Transform": "scene.transforms",
     "accuracy": "accuracy.pilot",
     "bind": "bind",
+    "certify": "certify.certify",
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
     "coverage": "coverage",

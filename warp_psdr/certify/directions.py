@@ -1,0 +1,174 @@
+"""Directions along which derivatives are compared, the length of steps along them, and smooth random adjoints.
+
+A direction's largest entry is a *unit*: the longest step of a difference. For what moves, the unit is half a pixel at
+the scene's distance, or a tenth of the shape's size where that is less; for all else a twentieth of the values.
+Directions are fixed before the batches that are tested, so that they may follow a pilot's gradient.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE, Parameter
+
+#: Random adjoints, and the most half-waves of one across the image.
+ADJOINTS, HALF_WAVES = 3, 3
+#: Unit of values over the largest of them, and over the width of their range where all are zero.
+OF_VALUES = 0.05
+#: Unit of what moves: pixels, and share of the size of what moves.
+PIXELS, OF_SIZE = 0.5, 0.1
+#: Unit of a turn where nothing says how far away things are [radians].
+TURN = 0.02
+#: Waves of a random field, and their most radians across it.
+WAVES, RADIANS = 4, 4.0
+#: Derivatives by values at the end of their range have one side only: differences of second order, (step, weight).
+CENTRAL = ((1.0, 0.5), (-1.0, -0.5))
+ONE_SIDED = ((0.0, -1.5), (1.0, 2.0), (2.0, -0.5))
+
+
+@dataclass(frozen=True)
+class Direction:
+    """A direction of one parameter.
+
+    Attributes:
+        parameter: its name.
+        what: what the direction is, for tables.
+        tangent: in the parameter's shape; the longest step is 1.
+        stencil: (step, weight) of the difference.
+    """
+
+    parameter: str
+    what: str
+    tangent: np.ndarray
+    stencil: tuple[tuple[float, float], ...] = CENTRAL
+
+    def along(self, gradient: np.ndarray) -> np.ndarray:
+        """Return (K,): derivatives along the direction of gradients (K, *shape)."""
+        return (gradient * self.tangent).reshape(len(gradient), -1).sum(axis=1)
+
+
+def random_adjoints(shape: tuple[int, int], seed: int, count: int = ADJOINTS) -> np.ndarray:
+    """Return smooth random adjoints (K, H, W, 3), float32, of mean square one."""
+    random = np.random.default_rng((seed, 1))
+    y, x = ((np.arange(n) + 0.5) / n for n in shape)
+    waves = range(HALF_WAVES)
+    rows, columns = (np.stack([np.cos(np.pi * i * z) for i in waves]) for z in (y, x))
+    falling = np.array([[1.0 / (1.0 + i + j) for j in waves] for i in waves])
+    found = []
+    for _ in range(count):
+        weights = random.normal(size=(3, len(waves), len(waves))) * falling
+        image = np.einsum("cij,ih,jw->hwc", weights, rows, columns)
+        found.append(image / np.sqrt((image**2).mean()))
+    return np.stack(found).astype(np.float32)
+
+
+def directions_of(
+    p: Parameter, values: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, radius: float, pixels: int, seed: int
+) -> list[Direction]:
+    """Return the directions of a parameter, the most telling first.
+
+    Args:
+        p: the parameter.
+        values: its values, float64.
+        gradient: of a pilot, in its shape.
+        deviation: standard deviation of ``gradient``.
+        radius: of the scene.
+        pixels: on the longer side of the image.
+        seed: of random directions.
+    """
+    random = np.random.default_rng((seed, 2, *map(ord, p.name)))
+    found = list(_tangents(p, values, gradient, deviation, radius, pixels, random))
+    return [_inside(Direction(p.name, what, t), values, p.bounds) for what, t in found if np.any(t)]
+
+
+def _tangents(p: Parameter, values, gradient, deviation, radius, pixels, random):
+    moves = bool(p.uses & {POSITIONS, SHAPE_POSE, CAMERA, LIGHT_POSE})
+    if values.shape == (4, 4):
+        yield from _of_pose(p, values, radius, pixels, random)
+        return
+    unit = _length(p, values, radius, pixels) if moves and values.shape[-1:] == (3,) else _of_values(values, p.bounds)
+    if values.size == 1:
+        yield "value", np.full(values.shape, unit)
+        return
+    points = moves and values.ndim == 2 and values.shape[1] == 3
+    if points:
+        yield "shift", np.broadcast_to(unit * _unit_vector(random), values.shape).copy()
+    else:
+        yield "all alike", np.full(values.shape, unit)
+    if values.size > 3:
+        if np.any(gradient):
+            yield "gradient", unit * gradient / np.abs(gradient).max()
+        yield "smooth field", unit * _field(values, points, random)
+        stands_out = np.abs(gradient) / np.maximum(deviation, 1e-6 * np.abs(gradient).max() + 1e-300)
+        one = np.zeros(values.size)
+        one[int(np.argmax(np.abs(gradient) * np.minimum(stands_out, 10.0)))] = unit
+        yield "one entry", one.reshape(values.shape)
+    else:
+        yield "random", unit * _field(values, False, random)
+
+
+def _of_pose(p: Parameter, values: np.ndarray, radius: float, pixels: int, random: np.random.Generator):
+    """Yield a shift and a turn about the pose's origin."""
+    length = _length(p, values, radius, pixels)
+    shift = np.zeros((4, 4))
+    shift[:3, 3] = length * _unit_vector(random)
+    yield "shift", shift
+    size = np.linalg.norm(values[:3, :3], axis=0).max() if p.uses & {SHAPE_POSE} else radius
+    angle = min(length / max(size, 1e-30), TURN) if size > 0.0 else TURN
+    turn = np.zeros((4, 4))
+    turn[:3, :3] = angle * np.cross(np.eye(3), _unit_vector(random)) @ values[:3, :3]
+    yield "turn", turn
+
+
+def _length(p: Parameter, values: np.ndarray, radius: float, pixels: int) -> float:
+    """Return the unit of what moves, world units."""
+    size = 2.0 * radius
+    if POSITIONS in p.uses and values.ndim == 2:
+        size = float(np.ptp(values, axis=0).max())
+    elif SHAPE_POSE in p.uses and values.shape == (4, 4):
+        size = 2.0 * float(np.linalg.norm(values[:3, :3], axis=0).max())
+    return min(PIXELS * 2.0 * radius / pixels, OF_SIZE * size)
+
+
+def _of_values(values: np.ndarray, bounds: tuple[float, float]) -> float:
+    largest = float(np.abs(values).max(initial=0.0))
+    width = bounds[1] - bounds[0] if np.isfinite(bounds).all() else 1.0
+    return OF_VALUES * (largest if largest > 0.0 else width)
+
+
+def _unit_vector(random: np.random.Generator) -> np.ndarray:
+    d = random.normal(size=3)
+    return d / np.linalg.norm(d)
+
+
+def _field(values: np.ndarray, points: bool, random: np.random.Generator) -> np.ndarray:
+    """Return a random field with the largest entry 1: smooth over points, or over the axes of a picture."""
+    if points:
+        places, channels = values, 3
+    elif values.ndim > 1:
+        axes = np.meshgrid(*(np.linspace(0.0, 1.0, n) for n in values.shape[:-1]), indexing="ij")
+        places, channels = np.stack([a.reshape(-1) for a in axes], axis=1), values.shape[-1]
+    else:
+        drawn = random.normal(size=values.shape)
+        return drawn / np.abs(drawn).max()
+    extent = max(float(np.ptp(places, axis=0).max(initial=0.0)), 1e-30)
+    waves = random.normal(size=(WAVES, places.shape[1])) * RADIANS / extent
+    heights = random.normal(size=(WAVES, channels))
+    field = np.cos((places - places.mean(axis=0)) @ waves.T + random.uniform(0.0, 2.0 * np.pi, WAVES)) @ heights
+    return (field / np.abs(field).max()).reshape(values.shape)
+
+
+def _inside(d: Direction, values: np.ndarray, bounds: tuple[float, float]) -> Direction:
+    """Return the direction with differences that stay within the parameter's range."""
+    low, high = bounds
+    t = d.tangent
+    near_low, near_high = values - np.abs(t) < low, values + np.abs(t) > high
+    if not (near_low | near_high).any():
+        return d
+    inward = np.where(near_low, np.abs(t), np.where(near_high, -np.abs(t), t))
+    room = np.where(inward > 0.0, high - values, values - low)
+    used = np.abs(inward) > 0.0
+    share = float(np.min(room[used] / (2.0 * np.abs(inward[used])), initial=1.0))
+    return Direction(d.parameter, f"{d.what}, inwards", share * inward, ONE_SIDED)
