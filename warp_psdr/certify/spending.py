@@ -26,9 +26,9 @@ LOOKS = 2
 #: Batches of a pilot, and the least of a test.
 PILOT, LEAST = 5, 8
 #: A pilot of few batches tells a variance badly: it is taken so many times larger at the first look.
-DOUBT = 1.5
-#: Standard errors by which an interval is to be shorter than needed: 90 of 100 plans then suffice.
-SPARE = 1.3
+DOUBT = (1.5, 1.0)
+#: Standard errors by which an interval is to be shorter than needed: 90 of 100 plans then suffice, and 99 of the last.
+SPARE = (1.3, 2.3)
 #: Growth of a sampler's batches in planning, and the most that are planned.
 GROWTH, MOST = 1.2, 1 << 20
 #: Share of the tolerance that noise is to fit into where a remainder takes more than the rest.
@@ -169,7 +169,7 @@ def spend(
     plan = Planning(tolerance, (1.0 - level) / LOOKS)
     open_rows = list(rows)
     for look in range(LOOKS):
-        wanted = plan.counts(open_rows, left(), DOUBT if look == 0 else 1.0)
+        wanted = plan.counts(open_rows, left(), look)
         for sampler in _samplers(open_rows):
             sampler.run(wanted[id(sampler)], over)
         for row in open_rows:
@@ -195,7 +195,7 @@ class Planning:
     tolerance: float
     alpha: float
 
-    def counts(self, rows: Sequence[Row], seconds: float, doubt: float) -> dict[int, int]:
+    def counts(self, rows: Sequence[Row], seconds: float, look: int) -> dict[int, int]:
         """Return the number of batches of every sampler, by its id: rows that are cheap to decide come first.
 
         The first that does not fit gets what is left: a large bias shows early.
@@ -205,7 +205,7 @@ class Planning:
         costs = {id(s): s.cost for s in samplers}
         left = seconds - sum((counts[id(s)] - len(s.batches)) * s.cost for s in samplers)
         for row in sorted(rows, key=self.alone):
-            more = self._enough(row, counts, doubt)
+            more = self._enough(row, counts, look)
             extra = sum((more[key] - counts[key]) * costs[key] for key in more)
             share = min(max(left, 0.0) / extra, 1.0) if extra > 0.0 else 1.0
             for key, count in more.items():
@@ -217,10 +217,10 @@ class Planning:
         """Return the seconds that would decide a row by itself; infinite where its remainder is too large."""
         if row.variances()[2] >= self.tolerance:
             return math.inf
-        counts = self._enough(row, {id(row.a): LEAST, id(row.b): LEAST}, 1.0)
+        counts = self._enough(row, {id(row.a): LEAST, id(row.b): LEAST}, LOOKS - 1)
         return counts[id(row.a)] * row.a.cost + counts[id(row.b)] * row.b.cost
 
-    def _enough(self, row: Row, counts: dict[int, int], doubt: float) -> dict[int, int]:
+    def _enough(self, row: Row, counts: dict[int, int], look: int) -> dict[int, int]:
         """Return numbers of batches of a row's samplers that decide it, no fewer than there are already."""
         of_a, of_b, remainder = row.variances()
         a, b = id(row.a), id(row.b)
@@ -228,8 +228,8 @@ class Planning:
         room = max(self.tolerance - remainder, LEAST_ROOM * self.tolerance)
         while max(counts.values()) < MOST:
             quantile = float(stats.t.isf(0.5 * self.alpha, min(counts.values()) - 1))
-            shares = {a: doubt * of_a / counts[a], b: doubt * of_b / counts[b]}
-            if shares[a] + shares[b] <= (room / (quantile + SPARE)) ** 2:
+            shares = {a: DOUBT[look] * of_a / counts[a], b: DOUBT[look] * of_b / counts[b]}
+            if shares[a] + shares[b] <= (room / (quantile + SPARE[look])) ** 2:
                 break
             gain = {id(s): shares[id(s)] / max(counts[id(s)] * s.cost, 1e-9) for s in (row.a, row.b)}
             best = max(gain, key=lambda key: gain[key])

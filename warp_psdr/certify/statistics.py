@@ -21,8 +21,8 @@ import numpy as np
 from scipy import stats
 
 #: Share of the sum of squares about the mean that one batch holds, from which on, in at least so many batches, tails
-#: count as heavy: normal batches reach it once in some thousand sets.
-STANDS_OUT, LEAST_STANDING = 0.6, 12
+#: count as heavy: normal batches reach it in less than one set of a thousand.
+STANDS_OUT, LEAST_STANDING = 0.75, 12
 
 
 @dataclass(frozen=True)
