@@ -7,9 +7,11 @@ Directions are fixed before the batches that are tested, so that they may follow
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE, Parameter
 
@@ -19,10 +21,16 @@ ADJOINTS, HALF_WAVES = 3, 3
 OF_VALUES = 0.05
 #: Unit of what moves: pixels, and share of the size of what moves.
 PIXELS, OF_SIZE = 0.5, 0.1
+#: Unit of points that move by themselves, over their distance: faces turn by some such angle [radians].
+OF_NEIGHBOURS = 0.05
+#: An entry that stands out by more standard errors than these is told well enough.
+ENOUGH = 10.0
 #: Unit of a turn where nothing says how far away things are [radians].
 TURN = 0.02
 #: Waves of a random field, and their most radians across it.
 WAVES, RADIANS = 4, 4.0
+#: Axes along which points and poses move: all, or two where moves along the third part shapes that touch.
+PLANES = ((1, 1, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1))
 #: Derivatives by values at the end of their range have one side only: differences of second order, (step, weight).
 CENTRAL = ((1.0, 0.5), (-1.0, -0.5))
 ONE_SIDED = ((0.0, -1.5), (1.0, 2.0), (2.0, -0.5))
@@ -83,43 +91,70 @@ def directions_of(
     return [_inside(Direction(p.name, what, t), values, p.bounds) for what, t in found if np.any(t)]
 
 
-def _tangents(p: Parameter, values, gradient, deviation, radius, pixels, random):
+def _tangents(p: Parameter, values, gradient, deviation, radius, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield names and tangents; of equal names the later ones stand in where the first has no derivative."""
     moves = bool(p.uses & {POSITIONS, SHAPE_POSE, CAMERA, LIGHT_POSE})
     if values.shape == (4, 4):
         yield from _of_pose(p, values, radius, pixels, random)
+    elif moves and values.shape[-1:] == (3,):
+        yield from _of_points(p, values, gradient, deviation, _length(p, values, radius, pixels), random)
+    else:
+        yield from _of_numbers(values, gradient, deviation, _of_values(values, p.bounds), random)
+
+
+def _of_points(p: Parameter, values, gradient, deviation, unit, random) -> Iterator[tuple[str, np.ndarray]]:
+    for axes in PLANES:
+        yield "shift", np.broadcast_to(unit * _unit_vector(random, axes), values.shape).copy()
+    if values.size == 3:
         return
-    unit = _length(p, values, radius, pixels) if moves and values.shape[-1:] == (3,) else _of_values(values, p.bounds)
+    single = min(unit, OF_NEIGHBOURS * _spacing(values))
+    for axes in PLANES if np.any(gradient) else ():
+        yield "gradient", single * _scaled(gradient * np.array(axes, float))
+    for axes in PLANES:
+        yield "smooth field", unit * _scaled(_field(values, True, random) * np.array(axes, float))
+    yield "one entry", single * _one(gradient, deviation)
+
+
+def _of_numbers(values, gradient, deviation, unit, random) -> Iterator[tuple[str, np.ndarray]]:
     if values.size == 1:
         yield "value", np.full(values.shape, unit)
         return
-    points = moves and values.ndim == 2 and values.shape[1] == 3
-    if points:
-        yield "shift", np.broadcast_to(unit * _unit_vector(random), values.shape).copy()
-    else:
-        yield "all alike", np.full(values.shape, unit)
-    if values.size > 3:
-        if np.any(gradient):
-            yield "gradient", unit * gradient / np.abs(gradient).max()
-        yield "smooth field", unit * _field(values, points, random)
-        stands_out = np.abs(gradient) / np.maximum(deviation, 1e-6 * np.abs(gradient).max() + 1e-300)
-        one = np.zeros(values.size)
-        one[int(np.argmax(np.abs(gradient) * np.minimum(stands_out, 10.0)))] = unit
-        yield "one entry", one.reshape(values.shape)
-    else:
+    yield "all alike", np.full(values.shape, unit)
+    if values.size <= 3:
         yield "random", unit * _field(values, False, random)
+        return
+    if np.any(gradient):
+        yield "gradient", unit * _scaled(gradient)
+    yield "smooth field", unit * _field(values, False, random)
+    yield "one entry", unit * _one(gradient, deviation)
 
 
-def _of_pose(p: Parameter, values: np.ndarray, radius: float, pixels: int, random: np.random.Generator):
-    """Yield a shift and a turn about the pose's origin."""
+def _of_pose(p: Parameter, values, radius, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield shifts, and turns about the pose's origin."""
     length = _length(p, values, radius, pixels)
-    shift = np.zeros((4, 4))
-    shift[:3, 3] = length * _unit_vector(random)
-    yield "shift", shift
-    size = np.linalg.norm(values[:3, :3], axis=0).max() if p.uses & {SHAPE_POSE} else radius
-    angle = min(length / max(size, 1e-30), TURN) if size > 0.0 else TURN
-    turn = np.zeros((4, 4))
-    turn[:3, :3] = angle * np.cross(np.eye(3), _unit_vector(random)) @ values[:3, :3]
-    yield "turn", turn
+    for axes in PLANES:
+        shift = np.zeros((4, 4))
+        shift[:3, 3] = length * _unit_vector(random, axes)
+        yield "shift", shift
+    size = np.linalg.norm(values[:3, :3], axis=0).max() if SHAPE_POSE in p.uses else radius
+    angle = min(length / size, TURN) if size > 0.0 else TURN
+    for axis in (_unit_vector(random), *np.eye(3)):
+        turn = np.zeros((4, 4))
+        turn[:3, :3] = angle * np.cross(np.eye(3), axis) @ values[:3, :3]
+        yield "turn", turn
+
+
+def _one(gradient: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Return 1 at an entry whose derivative is large and stands out of the noise, and 0 elsewhere."""
+    stands_out = np.abs(gradient) / np.maximum(deviation, 1e-6 * np.abs(gradient).max() + 1e-300)
+    one = np.zeros(gradient.size)
+    one[int(np.argmax(np.abs(gradient) * np.minimum(stands_out, ENOUGH)))] = 1.0
+    return one.reshape(gradient.shape)
+
+
+def _scaled(field: np.ndarray) -> np.ndarray:
+    """Return a field with the largest entry 1; zeros stay."""
+    return field / max(float(np.abs(field).max()), 1e-300)
 
 
 def _length(p: Parameter, values: np.ndarray, radius: float, pixels: int) -> float:
@@ -132,14 +167,22 @@ def _length(p: Parameter, values: np.ndarray, radius: float, pixels: int) -> flo
     return min(PIXELS * 2.0 * radius / pixels, OF_SIZE * size)
 
 
+def _spacing(points: np.ndarray) -> float:
+    """Return the median distance of points (N, 3) from their nearest neighbours at other places."""
+    places = np.unique(points, axis=0)
+    if len(places) < 2:
+        return np.inf
+    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))
+
+
 def _of_values(values: np.ndarray, bounds: tuple[float, float]) -> float:
     largest = float(np.abs(values).max(initial=0.0))
     width = bounds[1] - bounds[0] if np.isfinite(bounds).all() else 1.0
     return OF_VALUES * (largest if largest > 0.0 else width)
 
 
-def _unit_vector(random: np.random.Generator) -> np.ndarray:
-    d = random.normal(size=3)
+def _unit_vector(random: np.random.Generator, axes: tuple[int, ...] = (1, 1, 1)) -> np.ndarray:
+    d = random.normal(size=3) * np.array(axes, float)
     return d / np.linalg.norm(d)
 
 
@@ -152,12 +195,12 @@ def _field(values: np.ndarray, points: bool, random: np.random.Generator) -> np.
         places, channels = np.stack([a.reshape(-1) for a in axes], axis=1), values.shape[-1]
     else:
         drawn = random.normal(size=values.shape)
-        return drawn / np.abs(drawn).max()
+        return _scaled(drawn)
     extent = max(float(np.ptp(places, axis=0).max(initial=0.0)), 1e-30)
     waves = random.normal(size=(WAVES, places.shape[1])) * RADIANS / extent
     heights = random.normal(size=(WAVES, channels))
     field = np.cos((places - places.mean(axis=0)) @ waves.T + random.uniform(0.0, 2.0 * np.pi, WAVES)) @ heights
-    return (field / np.abs(field).max()).reshape(values.shape)
+    return _scaled(field).reshape(values.shape)
 
 
 def _inside(d: Direction, values: np.ndarray, bounds: tuple[float, float]) -> Direction:

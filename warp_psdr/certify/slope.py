@@ -4,6 +4,7 @@ A batch of differences holds images at two steps, h and 2h, all from one seed. T
 Richardson's extrapolation of the quotients, F(h) + (F(h) - F(2h)) / 3, which is off by at most 2/3 |F(h) - F(2h)|
 whether the remainder of F is of first or of second order. That bound is a part of the error (``statistics.py``). The
 step is the one of a ladder by which, as a pilot says, fewest batches decide: short steps are noisy, long ones inexact.
+Steps that shorter ones contradict do not count. A bias has to show at steps an eighth as long, too.
 
 Derivation: ``docs/theory/certificates.md#differences``.
 """
@@ -21,7 +22,12 @@ from warp_psdr.kernels.rng import mix_seed
 
 NAME = "slope"
 #: Steps in units of the direction; the last is only ever the shorter one of a pair.
-LADDER = (1.0, 1.0 / 2.0, 1.0 / 4.0, 1.0 / 8.0, 1.0 / 16.0)
+LADDER = (1.0, 1.0 / 2.0, 1.0 / 4.0, 1.0 / 8.0, 1.0 / 16.0, 1.0 / 32.0)
+#: By how much steps are shorter that confirm a bias.
+SHORTER = 1.0 / 8.0
+#: Standard errors by which quotients of two steps differ where one contradicts the other: of five batches, two of a
+#: hundred do so by chance.
+CONTRADICTS = 4.0
 #: Images that a direction takes at least, of its pilot and of its test.
 LEAST_IMAGES = 2 * (PILOT * len(LADDER) + LEAST * 2)
 #: Differences are relative to this share of the largest derivative of a parameter, of directions of equal size, at
@@ -42,7 +48,9 @@ def rows(e: Examination) -> list[Row]:
         ladder.try_out()
         pilot = np.stack(ladder.pilot)
         i, weights, size, error = chosen(pilot, e.tolerance)
-        sampler = Sampler(quotients(e, direction, LADDER[i - 1 : i + 1]), mix_seed(ladder.seed, 1))
+        steps = LADDER[i - 1 : i + 1]
+        sampler = Sampler(quotients(e, direction, steps), mix_seed(ladder.seed, 1))
+        shorter = tuple(SHORTER * step for step in steps)
         sampler.pilot = list(pilot[:, i - 1 : i + 1])
         sampler.seconds, sampler.calls = ladder.seconds * 2.0 / len(LADDER), ladder.calls
         sizes.append((direction.parameter, size / float(np.linalg.norm(direction.tangent)), error))
@@ -55,6 +63,7 @@ def rows(e: Examination) -> list[Row]:
                 b=sampler,
                 of_a=weighted(number, weights),
                 of_b=_of_pairs(weights),
+                finer=Sampler(quotients(e, direction, shorter), mix_seed(ladder.seed, 2)),
             )
         )
     for row, (_name, size, _error) in zip(found, sizes, strict=True):
@@ -107,6 +116,7 @@ def chosen(pilot: np.ndarray, tolerance: float) -> tuple[int, np.ndarray, float,
     The weighted sum of the quotients at the chosen step is about 1.
     """
     best: tuple[float, int, np.ndarray, float, float] | None = None
+    noise = 0.0
     for i in range(1, pilot.shape[1]):
         mean = pilot[:, i].mean(axis=0)
         size = float(np.linalg.norm(mean))
@@ -114,11 +124,20 @@ def chosen(pilot: np.ndarray, tolerance: float) -> tuple[int, np.ndarray, float,
             continue
         weights = mean / size**2
         b, r = extrapolated(pilot[:, i - 1 : i + 1] @ weights)
-        noise = float(b.std(ddof=1))
+        noise = max(noise, float(b.std(ddof=1)))  # it grows as steps become shorter; few batches may not show that
         room = max(tolerance - size_of(r), LEAST_ROOM * tolerance)
         score = (noise + size_of(r)) / room
-        if best is None or score < best[0]:
+        shorter = [extrapolated(pilot[:, j - 1 : j + 1] @ weights)[0] for j in range(i + 1, pilot.shape[1])]
+        if any(_contradicts(other - b, r) for other in shorter):
+            score = np.inf
+        if best is None or score <= best[0]:
             best = score, i, weights, size, noise / float(np.sqrt(len(pilot)))
     if best is None:
         return pilot.shape[1] // 2, np.ones(pilot.shape[2]), 0.0, np.inf
     return best[1:]
+
+
+def _contradicts(change: np.ndarray, remainder: np.ndarray) -> bool:
+    """Return whether batches of a change exceed the remainder that was to bound it."""
+    beyond = abs(float(change.mean())) - abs(float(remainder.mean()))
+    return beyond > CONTRADICTS * float(change.std(ddof=1)) / np.sqrt(len(change))

@@ -5,6 +5,10 @@ variances and costs that are known until then. A test follows; where rows are op
 once more, and there is a second and last test of all batches. Each of the ``LOOKS`` tests has its share of the level
 (Bonferroni), whatever made the run go on.
 
+A row that is called biased is tested once more, with differences of much shorter steps where it has such: a bias stays,
+and what only long steps see does not. It takes both p-values. If shorter steps do not confirm it, they replace the
+others at the next look.
+
 Derivation: ``docs/theory/certificates.md#looking-twice``.
 """
 
@@ -29,6 +33,8 @@ PILOT, LEAST = 5, 8
 DOUBT = (1.5, 1.0)
 #: Standard errors by which an interval is to be shorter than needed: 90 of 100 plans then suffice, and 99 of the last.
 SPARE = (1.3, 2.3)
+#: Share of the budget by which confirming a bias may exceed it.
+CONFIRMING = 0.5
 #: Growth of a sampler's batches in planning, and the most that are planned.
 GROWTH, MOST = 1.2, 1 << 20
 #: Share of the tolerance that noise is to fit into where a remainder takes more than the rest.
@@ -94,8 +100,8 @@ class Row:
         a, b: samplers.
         of_a: batches of ``a`` -> (n,).
         of_b: batches of ``b`` -> (n,) and the remainder (n,).
+        finer: the same as ``b``, by much shorter steps; None: there are none.
         floor: as of ``Batches``.
-        note: what is known beforehand, for the table.
         p_value: so far, adjusted for the number of looks.
         slope: at the last look.
         decided: within, at some look.
@@ -109,8 +115,8 @@ class Row:
     b: Sampler
     of_a: Callable[[np.ndarray], np.ndarray]
     of_b: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    finer: Sampler | None = None
     floor: float = 0.0
-    note: str = ""
     p_value: float = 1.0
     slope: Slope | None = None
     decided: bool = False
@@ -118,15 +124,35 @@ class Row:
     heavy: bool = False
     needed: float = math.nan
 
+    def compared(self) -> Batches:
+        """Return the batches that are tested."""
+        return Batches(self.of_a(np.stack(self.a.batches)), *self.of_b(np.stack(self.b.batches)), self.floor)
+
     def look(self, tolerance: float, level: float) -> None:
         """Test with all batches; ``level``: of the interval of this look."""
-        batches = Batches(self.of_a(np.stack(self.a.batches)), *self.of_b(np.stack(self.b.batches)), self.floor)
+        batches = self.compared()
         self.seen, self.heavy = batches.seen, batches.heavy
         if not self.seen:
             return
         self.slope = batches.slope(level)
         self.decided |= self.slope.within(tolerance)
         self.p_value = min(self.p_value, 1.0, LOOKS * batches.p_value(tolerance))
+
+    def confirm(self, tolerance: float, alpha: float, level: float, over: Callable[[], bool]) -> None:
+        """Test a row that is called biased with shorter steps, by as many batches as its bias needs."""
+        if self.finer is None:
+            return
+        self.b, self.finer = self.finer, None
+        self.b.try_out()
+        assert self.slope is not None
+        of_a, of_b, _remainder = self.variances()
+        away = max(abs(self.slope.value - 1.0) - tolerance, 0.0)
+        room = (away / (float(stats.norm.isf(alpha)) + SPARE[-1])) ** 2 - of_a / len(self.a.batches)
+        needed = DOUBT[0] * of_b / room if room > 0.0 else math.inf
+        self.b.run(max(LEAST, math.ceil(min(needed, MOST))), over)
+        batches = self.compared()
+        self.slope = batches.slope(level)
+        self.p_value = max(self.p_value, batches.p_value(tolerance))
 
     def variances(self) -> tuple[float, float, float]:
         """Return the variances of a batch of both sides, and the remainder, of a slope of 1."""
@@ -166,6 +192,13 @@ def spend(
             progress(min(1.0 - left() / seconds, 0.99) if seconds > 0.0 else 0.99)
         return left() <= 0.0
 
+    def long_over() -> bool:
+        return left() <= -CONFIRMING * seconds
+
+    def biased() -> list[Row]:
+        adjusted = holm([row.p_value for row in rows])
+        return [row for row, p in zip(rows, adjusted, strict=True) if p <= 1.0 - level]
+
     plan = Planning(tolerance, (1.0 - level) / LOOKS)
     open_rows = list(rows)
     for look in range(LOOKS):
@@ -174,9 +207,10 @@ def spend(
             sampler.run(wanted[id(sampler)], over)
         for row in open_rows:
             row.look(tolerance, 1.0 - plan.alpha)
-        adjusted = holm([row.p_value for row in rows])
-        biased = {id(row) for row, p in zip(rows, adjusted, strict=True) if p <= 1.0 - level}
-        open_rows = [row for row in open_rows if row.seen and not row.decided and id(row) not in biased]
+        for row in biased():
+            row.confirm(tolerance, (1.0 - level) / len(rows), 1.0 - plan.alpha, long_over)
+        closed = {id(row) for row in biased()}
+        open_rows = [row for row in open_rows if row.seen and not row.decided and id(row) not in closed]
         if not open_rows or over():
             break
     for row in open_rows:
