@@ -30,6 +30,7 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.bind import bind
     from warp_psdr.certify.certificate import Certificate
     from warp_psdr.certify.certify import certify
+    from warp_psdr.certify.function import certify_function
     from warp_psdr.coverage import Coverage, coverage
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
@@ -81,6 +82,7 @@ __all__ = [
     "boundary",
     "cameras",
     "certify",
+    "certify_function",
     "compile",
     "cornell_box",
     "coverage",
@@ -143,6 +145,7 @@ _PUBLIC = {
     "accuracy": "accuracy.pilot",
     "bind": "bind",
     "certify": "certify.certify",
+    "certify_function": "certify.function",
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
     "coverage": "coverage",

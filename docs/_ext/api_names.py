@@ -13,7 +13,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),
     "Plan and cost": (
-        *("plan", "coverage", "accuracy", "certify", "compile", "methods"),
+        *("plan", "coverage", "accuracy", "certify", "certify_function", "compile", "methods"),
         *("Plan", "Coverage", "Certificate", "Compilation"),
     ),
     "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),

@@ -85,7 +85,7 @@ class OfParameter:
         first = [f for f in self.findings if f.check == self.findings[0].check]
         if any(f.verdict == WITHIN for f in first) and not any(f.leans for f in self.findings):
             return WITHIN
-        return NOT_SEEN if found == {NOT_SEEN} else UNDECIDED
+        return NOT_SEEN if found == {NOT_SEEN} else UNDECIDED  # also where no direction has a derivative
 
     @property
     def slope(self) -> Slope | None:

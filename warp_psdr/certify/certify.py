@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from warp_psdr.accuracy.report import positive
-from warp_psdr.certify import estimators, slope
-from warp_psdr.certify.certificate import BIASED, NOT_SEEN, UNDECIDED, WITHIN, Certificate, Finding
+from warp_psdr.certify.certificate import Certificate
 from warp_psdr.certify.directions import Direction, directions_of, random_adjoints
-from warp_psdr.certify.examination import Examination
-from warp_psdr.certify.spending import Row, spend
-from warp_psdr.certify.statistics import holm
+from warp_psdr.certify.issue import CHECKS, Request, issue
 from warp_psdr.certify.subject import SceneSubject, adjoints_of, untouched
-from warp_psdr.estimate.arguments import checked_seed, flat_tangents, requested
+from warp_psdr.estimate.arguments import flat_tangents, requested
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.transient import require_steady
@@ -27,15 +22,6 @@ from warp_psdr.topology import contacts
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
-
-#: Name -> rows of a check.
-CHECKS: dict[str, Callable[[Examination], list[Row]]] = {slope.NAME: slope.rows, estimators.NAME: estimators.rows}
-#: Share of the budget that pilots and the least batches of differences may take, and those of other methods; every
-#: parameter has one direction at least.
-PILOT_SHARE, METHODS_SHARE = 0.25, 0.25
-MOST_DIRECTIONS = 8
-#: p-value of a comparison by itself from which on it leans away from 1.
-LEANS = 0.05
 
 
 def certify(
@@ -82,15 +68,8 @@ def certify(
     """
     check_loaded(scene)
     names = requested(scene, params)
-    budget = positive("budget", budget)
-    for name, value, low in (("level", level, 0.5), ("tolerance", tolerance, 0.0)):
-        if not low < value < 1.0:
-            raise ValueError(f"{name}: got {value!r}, expected a number between {low:g} and 1")
-    wanted = list(CHECKS) if checks == "all" else [checks] if isinstance(checks, str) else list(checks)
-    for name in wanted:
-        if name not in CHECKS:
-            raise ValueError(f"checks: got {name!r}, expected 'all' or some of {', '.join(map(repr, CHECKS))}")
-    seed, integrator = checked_seed(seed), integrator_of(scene, integrator)
+    request = Request.checked(budget, level, tolerance, checks, seed, CHECKS)
+    integrator = integrator_of(scene, integrator)
     number = scene.description.sensor_number(sensor)
     require_steady(scene, number, "psdr.certify")
     with untouched(scene) as ledger:
@@ -100,55 +79,24 @@ def certify(
             if adjoint is None
             else adjoints_of(scene, number, adjoint, subject.shape)
         )
-        subject = subject.sized(adjoints, budget)
-        start = time.perf_counter()
-        examination = _prepared(subject, adjoints, seed, tolerance, PILOT_SHARE * budget)
-        examination.for_methods = METHODS_SHARE * budget
-        rows = [row for name in wanted for row in CHECKS[name](examination)]
-        start += examination.compiling
-        spend(rows, budget - (time.perf_counter() - start), tolerance, level, progress)
-        examination.notes += _dropped(ledger.snapshot())
-    if progress is not None:
-        progress(1.0)
-    return Certificate(
-        parameters=tuple(names),
-        findings=tuple(_findings(rows, level)),
-        refused=tuple(examination.refused),
-        notes=tuple(examination.notes),
-        level=level,
-        tolerance=tolerance,
-        budget=budget,
-        seconds=time.perf_counter() - start,
-    )
-
-
-def _prepared(subject: SceneSubject, adjoints: np.ndarray, seed: int, tolerance: float, seconds: float) -> Examination:
-    """Return an examination with directions: as many as there is time for, but one a parameter at least."""
-    begun = time.perf_counter()
-    subject.image({}, 1)
-    image = time.perf_counter() - begun
-    examination = Examination(subject, adjoints, [], seed, tolerance)
-    pilot = examination.pilot()
-    found = []
-    for name in subject.names:
-        batches = np.stack([gradients[name].sum(axis=0) for gradients in pilot])
-        candidates = directions_of(
-            subject.scene.parameters[name],
-            subject.values[name],
-            batches.mean(axis=0),
-            batches.std(axis=0, ddof=1),
-            subject.scene.radius,
-            max(subject.shape),
-            seed,
+        subject = subject.sized(adjoints, request.budget)
+        return issue(
+            subject,
+            adjoints,
+            lambda name, mean, deviation: _directions(subject, name, mean, deviation, request.seed),
+            request,
+            progress,
+            lambda: _dropped(ledger.snapshot()),
         )
-        kept, notes = _smooth(subject, candidates)
-        found.append(kept)
-        examination.notes += notes
-    chosen = [directions[0] for directions in found if directions]
-    rest = [d for rank in range(1, MOST_DIRECTIONS) for directions in found for d in directions[rank : rank + 1]]
-    most = int(seconds / (image * slope.LEAST_IMAGES))
-    examination.take(chosen + rest[: max(most - len(chosen), 0)], pilot)
-    return examination
+
+
+def _directions(
+    subject: SceneSubject, name: str, mean: np.ndarray, deviation: np.ndarray, seed: int
+) -> tuple[list[Direction], list[str]]:
+    """Return the directions of a parameter, and notes on those that are left out."""
+    scene, values = subject.scene, subject.values[name]
+    found = directions_of(scene.parameters[name], values, mean, deviation, scene.radius, max(subject.shape), seed)
+    return _smooth(subject, found)
 
 
 def _smooth(subject: SceneSubject, found: list[Direction]) -> tuple[list[Direction], list[str]]:
@@ -175,31 +123,3 @@ def _dropped(counts: dict[str, tuple[int, int]]) -> list[str]:
         for kind, (samples, dropped) in counts.items()
         if dropped
     ]
-
-
-def _findings(rows: list[Row], level: float) -> list[Finding]:
-    adjusted = holm([row.p_value for row in rows])
-    return [_finding(row, p, level) for row, p in zip(rows, adjusted, strict=True)]
-
-
-def _finding(row: Row, p_value: float, level: float) -> Finding:
-    verdict, note = UNDECIDED, ""
-    if not row.seen:
-        verdict, note = NOT_SEEN, "neither the image nor its derivative changes"
-    elif p_value <= 1.0 - level:
-        verdict = UNDECIDED if row.heavy else BIASED
-        note = "one batch holds most of the variance: errors are not to be trusted" if row.heavy else ""
-    elif row.decided:
-        verdict = WITHIN
-    return Finding(
-        check=row.check,
-        parameter=row.parameter,
-        what=row.what,
-        verdict=verdict,
-        slope=row.slope,
-        p_value=p_value,
-        batches=(len(row.a.batches), len(row.b.batches)),
-        seconds=row.needed,
-        leans=row.seen and row.slope is not None and row.p_value <= LEANS,
-        note=note,
-    )

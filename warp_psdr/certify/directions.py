@@ -91,6 +91,22 @@ def directions_of(
     return [_inside(Direction(p.name, what, t), values, p.bounds) for what, t in found if np.any(t)]
 
 
+def directions_of_numbers(
+    name: str,
+    values: np.ndarray,
+    gradient: np.ndarray,
+    deviation: np.ndarray,
+    bounds: tuple[float, float],
+    unit: float | None,
+    seed: int,
+) -> list[Direction]:
+    """Return the directions of values of which nothing but a range is known, and a unit; None: by their size."""
+    random = np.random.default_rng((seed, 2, *map(ord, name)))
+    unit = _of_values(values, bounds) if unit is None else unit
+    found = _of_numbers(values, gradient, deviation, unit, random)
+    return [_inside(Direction(name, what, t), values, bounds) for what, t in found]
+
+
 def _tangents(p: Parameter, values, gradient, deviation, radius, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
     """Yield names and tangents; of equal names the later ones stand in where the first has no derivative."""
     moves = bool(p.uses & {POSITIONS, SHAPE_POSE, CAMERA, LIGHT_POSE})

@@ -60,7 +60,7 @@ class Examination:
     def take(self, directions: list[Direction], pilot: list[dict[str, np.ndarray]]) -> None:
         """Examine these directions."""
         self.directions = directions
-        self.base.pilot = [self._along(gradients) for gradients in pilot]
+        self.base.pilot = [self._along(gradients) for gradients in pilot] if directions else []
 
     def stream(self, name: str, number: int) -> int:
         """Return the seed of a stream of random numbers."""
