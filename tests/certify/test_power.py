@@ -69,6 +69,16 @@ def test_a_factor_on_an_albedo(monkeypatch: pytest.MonkeyPatch) -> None:
     assert found.ok is False and abs(found[ALBEDO].slope.value - 0.95) < 0.01
 
 
+def test_a_small_factor_on_gradients_of_reverse_mode(monkeypatch: pytest.MonkeyPatch) -> None:
+    loaded, params = load("soft")
+    params.requires_grad_only(POSITIONS)
+    options = {"integrator": psdr.PathIntegrator(max_depth=2), "checks": "identities", "tolerance": 0.001}
+    assert psdr.certify(loaded, params, budget=BUDGET, **options).ok is True
+    changed(monkeypatch, lambda g: 0.995 * g)
+    found = psdr.certify(loaded, params, budget=BUDGET, **options)
+    assert found.ok is False and "forward" in found.findings[0].what
+
+
 def test_a_channel_that_is_swapped(monkeypatch: pytest.MonkeyPatch) -> None:
     changed(monkeypatch, lambda g: g[..., ::-1])
     assert certificate("soft", ALBEDO).ok is False

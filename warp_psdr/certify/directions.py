@@ -1,7 +1,7 @@
 """Directions along which derivatives are compared, the length of steps along them, and smooth random adjoints.
 
-A direction's largest entry is a *unit*: the longest step of a difference. For what moves, the unit is half a pixel at
-the scene's distance, or a tenth of the shape's size where that is less; for all else a twentieth of the values.
+A direction's largest entry is a *unit*: the longest step of a difference. For what moves, the unit is two pixels at
+the scene's distance, or a fifth of the shape's size where that is less; for all else a tenth of the values.
 Directions are fixed before the batches that are tested, so that they may follow a pilot's gradient.
 """
 
@@ -18,15 +18,15 @@ from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE, Pa
 #: Random adjoints, and the most half-waves of one across the image.
 ADJOINTS, HALF_WAVES = 3, 3
 #: Unit of values over the largest of them, and over the width of their range where all are zero.
-OF_VALUES = 0.05
+OF_VALUES = 0.1
 #: Unit of what moves: pixels, and share of the size of what moves.
-PIXELS, OF_SIZE = 0.5, 0.1
+PIXELS, OF_SIZE = 2.0, 0.2
 #: Unit of points that move by themselves, over their distance: faces turn by some such angle [radians].
-OF_NEIGHBOURS = 0.05
+OF_NEIGHBOURS = 0.2
 #: An entry that stands out by more standard errors than these is told well enough.
 ENOUGH = 10.0
 #: Unit of a turn where nothing says how far away things are [radians].
-TURN = 0.02
+TURN = 0.05
 #: Waves of a random field, and their most radians across it.
 WAVES, RADIANS = 4, 4.0
 #: Axes along which points and poses move: all, or two where moves along the third part shapes that touch.

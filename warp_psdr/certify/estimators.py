@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from warp_psdr.certify.examination import Examination, weighted
-from warp_psdr.certify.spending import LEAST, PILOT, Row, Sampler
+from warp_psdr.certify.spending import Row, Sampler
 from warp_psdr.certify.subject import SceneSubject
 from warp_psdr.options import boundary, interior
 from warp_psdr.plan.choice import named
@@ -89,12 +89,8 @@ def _against(e: Examination, subject: SceneSubject, methods: dict, own: str, lab
         e.refused.append((label, " ".join(str(reason).split()).partition(". ")[0]))
         return []
     sampler = _sampler(e, other, label)
-    least = (PILOT + LEAST) * sampler.cost
-    if least > e.for_methods:
-        e.notes.append(f"{label} is left out: its {PILOT + LEAST} batches take {least:.2g} s, raise the budget")
+    if not e.affords(sampler, label):
         return []
-    e.for_methods -= least
-    sampler.pilot.clear()
     sampler.try_out()
     found = []
     for number, direction in e.telling():

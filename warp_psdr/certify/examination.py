@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from warp_psdr.certify.directions import Direction
-from warp_psdr.certify.spending import PILOT, Sampler
+from warp_psdr.certify.spending import LEAST, PILOT, Sampler
 from warp_psdr.certify.subject import SceneSubject, Subject
 from warp_psdr.kernels.rng import mix_seed
 
@@ -28,7 +28,7 @@ class Examination:
         base: batches (K, directions) of the derivative that is examined.
         refused: (method, reason) of methods that do not cover the request.
         notes: what else there is to say.
-        for_methods: seconds that pilots of other methods, and the least batches of each, may take.
+        for_methods: seconds that pilots of other methods and modes, and the least batches of each, may take.
         compiling: seconds of calls that compile, which no budget pays for.
     """
 
@@ -78,6 +78,19 @@ class Examination:
         begun = time.perf_counter()
         draw(0)
         self.compiling += time.perf_counter() - begun
+
+    def affords(self, sampler: Sampler, label: str) -> bool:
+        """Return whether there is time for a sampler's pilot and a test, and take it, or note that there is none.
+
+        ``sampler`` has drawn once, which tells what a batch costs, and forgets it.
+        """
+        least = (PILOT + LEAST) * sampler.cost
+        sampler.pilot.clear()
+        if least > self.for_methods:
+            self.notes.append(f"{label} is left out: its {PILOT + LEAST} batches take {least:.2g} s, raise the budget")
+            return False
+        self.for_methods -= least
+        return True
 
     @property
     def scene_subject(self) -> SceneSubject | None:

@@ -80,8 +80,8 @@ def certify_function(
             parameter's shape. Independent for different seeds, and of the images.
         parameters: name -> the values at which gradients are examined.
         adjoint: as of ``certify``.
-        units: name -> the longest step of a difference, in the parameter's units; for positions some part of a pixel.
-            Default: a twentieth of the largest value.
+        units: name -> the longest step of a difference, in the parameter's units; for positions a pixel or two.
+            Default: a tenth of the largest value.
         bounds: name -> range of the values; differences stay inside. Default: there is none.
         budget: as of ``certify``.
         level: as of ``certify``.

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_psdr.accuracy.report import positive
-from warp_psdr.certify import estimators, slope
+from warp_psdr.certify import estimators, identities, slope
 from warp_psdr.certify.certificate import BIASED, NOT_SEEN, UNDECIDED, WITHIN, Certificate, Finding
 from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.examination import Examination
@@ -19,7 +19,11 @@ from warp_psdr.certify.subject import Subject
 from warp_psdr.estimate.arguments import checked_seed
 
 #: Name -> rows of a check.
-CHECKS: dict[str, Callable[[Examination], list[Row]]] = {slope.NAME: slope.rows, estimators.NAME: estimators.rows}
+CHECKS: dict[str, Callable[[Examination], list[Row]]] = {
+    slope.NAME: slope.rows,
+    identities.NAME: identities.rows,
+    estimators.NAME: estimators.rows,
+}
 #: Share of the budget that pilots and the least batches of differences may take, and those of other methods; every
 #: parameter has one direction at least.
 PILOT_SHARE, METHODS_SHARE = 0.25, 0.25

@@ -22,7 +22,7 @@ from warp_psdr.kernels.rng import mix_seed
 
 NAME = "slope"
 #: Steps in units of the direction; the last is only ever the shorter one of a pair.
-LADDER = (1.0, 1.0 / 2.0, 1.0 / 4.0, 1.0 / 8.0, 1.0 / 16.0, 1.0 / 32.0)
+LADDER = tuple(2.0**-k for k in range(7))
 #: By how much steps are shorter that confirm a bias.
 SHORTER = 1.0 / 8.0
 #: Standard errors by which quotients of two steps differ where one contradicts the other: of five batches, two of a

@@ -31,7 +31,7 @@ class Slope:
 
     Attributes:
         value: the quotient of the means.
-        error: its standard error.
+        error: its standard error, for values below 1 the one at 1.
         low, high: the interval at the certificate's level, remainder included; infinite where the denominator does not
             stand out of its noise.
         remainder: of differences of finite steps, as a share of the derivative (part of the interval).
@@ -106,14 +106,15 @@ class Batches:
         if y.mean() == 0.0:
             return Slope(math.nan, math.inf, -math.inf, math.inf)
         value = float((a.mean() - x.mean()) / y.mean())
-        _mean, at_value, _freedom = self.contrast(value, 0.0)
+        # For slopes below 1 the error that it would have at 1: where the denominator is noise, the slope is small.
+        _mean, error, _freedom = self.contrast(max(1.0, abs(value)), 0.0)
         remainder = float(abs(self.r.mean()) / y.mean())
         low, high = math.inf, -math.inf
         for s in (-1.0, 1.0):
             _mean, _error, freedom = self.contrast(1.0, s)
             ends = _fieller(a, x + s * self.r, y, float(stats.t.isf(0.5 - 0.5 * level, freedom)))
             low, high = min(low, ends[0]), max(high, ends[1])
-        return Slope(value, float(at_value / y.mean()), low, high, remainder)
+        return Slope(value, float(error / y.mean()), low, high, remainder)
 
 
 def _stands_out(x: np.ndarray) -> bool:

@@ -15,7 +15,7 @@ from warp_psdr.invalid import Ledger
 from warp_psdr.kernels.rng import mix_seed
 from warp_psdr.options.integrator import PathIntegrator
 from warp_psdr.plan.plan import decide
-from warp_psdr.render import render, render_backward
+from warp_psdr.render import render, render_backward, render_forward
 from warp_psdr.scene.edits import State
 from warp_psdr.scene.frames import held_at
 from warp_psdr.scene.parameters import Parameters
@@ -123,6 +123,13 @@ class SceneSubject:
             return render(self.scene, spp=self.spp[0], seed=seed, **options).numpy().astype(np.float64)
         finally:
             self.scene.restore(self.state)
+
+    def derivative(self, name: str, tangent: np.ndarray, seed: int) -> np.ndarray:
+        """Return the derivative image (H, W, 3) along a direction, of the samples of the first of ``gradients``."""
+        tangents = {name: tangent.astype(np.float32)}
+        options: dict[str, Any] = {"integrator": self.integrator, "sensor": self.sensor, "spp": self.spp[1]}
+        image = render_forward(self.scene, self.params, tangents, seed=mix_seed(seed, 0), **options)
+        return image.numpy().astype(np.float64)
 
     def gradients(self, adjoints: np.ndarray, seed: int) -> dict[str, np.ndarray]:
         """Return the gradients of adjoints."""
