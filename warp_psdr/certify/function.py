@@ -109,6 +109,7 @@ def certify_function(
     adjoints = random_adjoints(subject.shape, seed) if adjoint is None else np.asarray(adjoint, np.float32)[None]
     if adjoints.shape[1:] != (height, width, 3):
         raise ValueError(f"adjoint: got shape {adjoints.shape[1:]}, expected the image's {(height, width, 3)}")
+    subject.gradients(adjoints[:1], 0)  # compiles, or whatever is done once
 
     def directions(name: str, mean: np.ndarray, deviation: np.ndarray) -> tuple[list[Direction], list[str]]:
         range_of = (bounds or {}).get(name, UNBOUNDED)
