@@ -20,11 +20,11 @@ from warp_psdr.scene.layout import MATERIAL, POSITIONS, SHAPE_POSE, Parameter
 UNBOUNDED = (-np.inf, np.inf)
 
 
-def directions(values, uses, bounds=UNBOUNDED, gradient=None, radius=1.0, pixels=32):
+def directions(values, uses, bounds=UNBOUNDED, gradient=None, reach=2.0, pixels=32):
     values = np.asarray(values, float)
     p = Parameter("p", 0, values.shape, wp.float32, bounds, {uses})
     gradient = np.ones_like(values) if gradient is None else gradient
-    return directions_of(p, values, gradient, 0.1 * np.ones_like(values), radius, pixels, 0)
+    return directions_of(p, values, gradient, 0.1 * np.ones_like(values), reach, pixels, 0)
 
 
 def named(found, what):
@@ -43,7 +43,7 @@ def test_positions_move_by_parts_of_a_pixel() -> None:
     assert np.abs(named(found, "one entry").tangent).max() == pytest.approx(OF_NEIGHBOURS * spacing)
     assert np.count_nonzero(named(found, "one entry").tangent) == 1
     # A small shape in a large world moves by a part of its size.
-    small = directions(0.01 * points, POSITIONS, radius=100.0)
+    small = directions(0.01 * points, POSITIONS, reach=200.0)
     assert np.linalg.norm(named(small, "shift").tangent[0]) == pytest.approx(OF_SIZE * 0.01 * np.ptp(points, 0).max())
 
 

@@ -186,7 +186,7 @@ def _needed(seconds: float) -> str:
     if math.isnan(seconds):
         return ""
     if math.isinf(seconds):
-        return "the remainder of differences is larger than the tolerance"
+        return "longer steps of differences are inexact, and shorter ones noisy: no time decides it"
     return f"some {seconds:.2g} s would decide it"
 
 

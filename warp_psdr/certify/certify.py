@@ -16,12 +16,16 @@ from warp_psdr.estimate.arguments import flat_tangents, requested
 from warp_psdr.options.integrator import Integrator
 from warp_psdr.plan.integrator import integrator_of
 from warp_psdr.plan.transient import require_steady
+from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, Parameter
 from warp_psdr.scene.loaded import check_loaded
 from warp_psdr.topology import contacts
 
 if TYPE_CHECKING:
     from warp_psdr.scene.parameters import Parameters
     from warp_psdr.scene.scene import Scene
+
+#: Distance of what moves where there are no shapes, world units; and the least one, over the radius of the scene.
+NOWHERE, LEAST_REACH = 1.0, 1.0e-3
 
 
 def certify(
@@ -55,7 +59,7 @@ def certify(
             taken whatever it is.
         level: probability with which no right gradient is called biased, and with which intervals hold.
         tolerance: a slope within 1 +- tolerance is right.
-        checks: "all", or names: "slope", "estimators".
+        checks: "all", or names: "slope", "identities", "estimators".
         seed: of all random numbers. How many batches there are depends on the clock.
         progress: called with the finished fraction.
 
@@ -95,8 +99,22 @@ def _directions(
 ) -> tuple[list[Direction], list[str]]:
     """Return the directions of a parameter, and notes on those that are left out."""
     scene, values = subject.scene, subject.values[name]
-    found = directions_of(scene.parameters[name], values, mean, deviation, scene.radius, max(subject.shape), seed)
-    return _smooth(subject, found)
+    p, pixels = scene.parameters[name], max(subject.shape)
+    return _smooth(subject, directions_of(p, values, mean, deviation, _reach(scene, p, values), pixels, seed))
+
+
+def _reach(scene: Scene, p: Parameter, values: np.ndarray) -> float:
+    """Return how far away is what a parameter moves, or moves against, world units.
+
+    That is the scene's size for shapes, and the distance of most shapes for cameras and lights.
+    """
+    if not scene.vertex_count:
+        return NOWHERE
+    if not p.uses & {CAMERA, LIGHT_POSE}:
+        return 2.0 * scene.radius
+    centers = 0.5 * (scene.boxes.low + scene.boxes.high) + scene.origin
+    place = values[:3, 3] if values.shape == (4, 4) else values if values.shape == (3,) else centers.mean(axis=0)
+    return max(float(np.median(np.linalg.norm(centers - place, axis=1))), LEAST_REACH * scene.radius)
 
 
 def _smooth(subject: SceneSubject, found: list[Direction]) -> tuple[list[Direction], list[str]]:

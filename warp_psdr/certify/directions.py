@@ -73,7 +73,7 @@ def random_adjoints(shape: tuple[int, int], seed: int, count: int = ADJOINTS) ->
 
 
 def directions_of(
-    p: Parameter, values: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, radius: float, pixels: int, seed: int
+    p: Parameter, values: np.ndarray, gradient: np.ndarray, deviation: np.ndarray, reach: float, pixels: int, seed: int
 ) -> list[Direction]:
     """Return the directions of a parameter, the most telling first.
 
@@ -82,12 +82,12 @@ def directions_of(
         values: its values, float64.
         gradient: of a pilot, in its shape.
         deviation: standard deviation of ``gradient``.
-        radius: of the scene.
+        reach: how far away is what the parameter moves, or moves against, world units.
         pixels: on the longer side of the image.
         seed: of random directions.
     """
     random = np.random.default_rng((seed, 2, *map(ord, p.name)))
-    found = list(_tangents(p, values, gradient, deviation, radius, pixels, random))
+    found = list(_tangents(p, values, gradient, deviation, reach, pixels, random))
     return [_inside(Direction(p.name, what, t), values, p.bounds) for what, t in found if np.any(t)]
 
 
@@ -107,13 +107,13 @@ def directions_of_numbers(
     return [_inside(Direction(name, what, t), values, bounds) for what, t in found]
 
 
-def _tangents(p: Parameter, values, gradient, deviation, radius, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
+def _tangents(p: Parameter, values, gradient, deviation, reach, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
     """Yield names and tangents; of equal names the later ones stand in where the first has no derivative."""
     moves = bool(p.uses & {POSITIONS, SHAPE_POSE, CAMERA, LIGHT_POSE})
     if values.shape == (4, 4):
-        yield from _of_pose(p, values, radius, pixels, random)
+        yield from _of_pose(p, values, reach, pixels, random)
     elif moves and values.shape[-1:] == (3,):
-        yield from _of_points(p, values, gradient, deviation, _length(p, values, radius, pixels), random)
+        yield from _of_points(p, values, gradient, deviation, _length(p, values, reach, pixels), random)
     else:
         yield from _of_numbers(values, gradient, deviation, _of_values(values, p.bounds), random)
 
@@ -145,14 +145,14 @@ def _of_numbers(values, gradient, deviation, unit, random) -> Iterator[tuple[str
     yield "one entry", unit * _one(gradient, deviation)
 
 
-def _of_pose(p: Parameter, values, radius, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
+def _of_pose(p: Parameter, values, reach, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
     """Yield shifts, and turns about the pose's origin."""
-    length = _length(p, values, radius, pixels)
+    length = _length(p, values, reach, pixels)
     for axes in PLANES:
         shift = np.zeros((4, 4))
         shift[:3, 3] = length * _unit_vector(random, axes)
         yield "shift", shift
-    size = np.linalg.norm(values[:3, :3], axis=0).max() if SHAPE_POSE in p.uses else radius
+    size = float(np.linalg.norm(values[:3, :3], axis=0).max()) if SHAPE_POSE in p.uses else reach
     angle = min(length / size, TURN) if size > 0.0 else TURN
     for axis in (_unit_vector(random), *np.eye(3)):
         turn = np.zeros((4, 4))
@@ -173,14 +173,14 @@ def _scaled(field: np.ndarray) -> np.ndarray:
     return field / max(float(np.abs(field).max()), 1e-300)
 
 
-def _length(p: Parameter, values: np.ndarray, radius: float, pixels: int) -> float:
+def _length(p: Parameter, values: np.ndarray, reach: float, pixels: int) -> float:
     """Return the unit of what moves, world units."""
-    size = 2.0 * radius
+    size = np.inf
     if POSITIONS in p.uses and values.ndim == 2:
         size = float(np.ptp(values, axis=0).max())
     elif SHAPE_POSE in p.uses and values.shape == (4, 4):
         size = 2.0 * float(np.linalg.norm(values[:3, :3], axis=0).max())
-    return min(PIXELS * 2.0 * radius / pixels, OF_SIZE * size)
+    return min(PIXELS * reach / pixels, OF_SIZE * size)
 
 
 def _spacing(points: np.ndarray) -> float:
