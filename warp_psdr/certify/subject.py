@@ -28,7 +28,7 @@ SAMPLES, MOST_SPP = 1 << 13, 1 << 12
 #: While twice the samples take less than so many times the time, batches grow; each is timed so often.
 CHEAP, TIMINGS = 1.75, 3
 #: Batches that a budget has time for at least: images, and gradients of all adjoints.
-IMAGES, GRADIENTS = 1000, 100
+IMAGES, GRADIENTS = 400, 60
 
 
 class Subject(Protocol):
