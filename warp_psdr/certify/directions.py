@@ -29,6 +29,11 @@ ENOUGH = 10.0
 TURN = 0.05
 #: Waves of a random field, and their most radians across it.
 WAVES, RADIANS = 4, 4.0
+#: A pilot's pull on a whole shape is followed if it is so many of its deviations long; the share of a random vector
+#: that is added, since a gradient that is wrong may be right along itself.
+CLEAR, BESIDE = 1.5, 0.5
+#: Smooth fields of which the one is taken that the pilot's gradient sees most of.
+FIELDS = 8
 #: Axes along which points and poses move: all, or two where moves along the third part shapes that touch.
 PLANES = ((1, 1, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1))
 #: Derivatives by values at the end of their range have one side only: differences of second order, (step, weight).
@@ -111,7 +116,7 @@ def _tangents(p: Parameter, values, gradient, deviation, reach, pixels, random) 
     """Yield names and tangents; of equal names the later ones stand in where the first has no derivative."""
     moves = bool(p.uses & {POSITIONS, SHAPE_POSE, CAMERA, LIGHT_POSE})
     if values.shape == (4, 4):
-        yield from _of_pose(p, values, reach, pixels, random)
+        yield from _of_pose(p, values, gradient, deviation, reach, pixels, random)
     elif moves and values.shape[-1:] == (3,):
         yield from _of_points(p, values, gradient, deviation, _length(p, values, reach, pixels), random)
     else:
@@ -119,15 +124,18 @@ def _tangents(p: Parameter, values, gradient, deviation, reach, pixels, random) 
 
 
 def _of_points(p: Parameter, values, gradient, deviation, unit, random) -> Iterator[tuple[str, np.ndarray]]:
+    pull = gradient.reshape(-1, 3).sum(axis=0)
+    clear = np.linalg.norm(pull) > CLEAR * np.linalg.norm(deviation)
     for axes in PLANES:
-        yield "shift", np.broadcast_to(unit * _unit_vector(random, axes), values.shape).copy()
+        yield "shift", np.broadcast_to(unit * _towards(pull * clear, random, axes), values.shape).copy()
     if values.size == 3:
         return
     single = min(unit, OF_NEIGHBOURS * _spacing(values))
     for axes in PLANES if np.any(gradient) else ():
         yield "gradient", single * _scaled(gradient * np.array(axes, float))
     for axes in PLANES:
-        yield "smooth field", unit * _scaled(_field(values, True, random) * np.array(axes, float))
+        fields = [_scaled(_field(values, True, random) * np.array(axes, float)) for _ in range(FIELDS)]
+        yield "smooth field", unit * max(fields, key=lambda field: abs(float((field * gradient).sum())))
     yield "one entry", single * _one(gradient, deviation)
 
 
@@ -145,18 +153,23 @@ def _of_numbers(values, gradient, deviation, unit, random) -> Iterator[tuple[str
     yield "one entry", unit * _one(gradient, deviation)
 
 
-def _of_pose(p: Parameter, values, reach, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
+def _of_pose(p: Parameter, values, gradient, deviation, reach, pixels, random) -> Iterator[tuple[str, np.ndarray]]:
     """Yield shifts, and turns about the pose's origin."""
     length = _length(p, values, reach, pixels)
+    pull = gradient[:3, 3]
+    clear = np.linalg.norm(pull) > CLEAR * np.linalg.norm(deviation[:3, 3])
     for axes in PLANES:
         shift = np.zeros((4, 4))
-        shift[:3, 3] = length * _unit_vector(random, axes)
+        shift[:3, 3] = length * _towards(pull * clear, random, axes)
         yield "shift", shift
     size = float(np.linalg.norm(values[:3, :3], axis=0).max()) if SHAPE_POSE in p.uses else reach
     angle = min(length / size, TURN) if size > 0.0 else TURN
-    for axis in (_unit_vector(random), *np.eye(3)):
+    turns = [np.cross(np.eye(3), axis) @ values[:3, :3] for axis in np.eye(3)]
+    torque = np.array([float((gradient[:3, :3] * turn).sum()) for turn in turns])
+    clear = np.linalg.norm(torque) > CLEAR * size * np.linalg.norm(deviation[:3, :3])
+    for axis in (_towards(torque * clear, random), *np.eye(3)):
         turn = np.zeros((4, 4))
-        turn[:3, :3] = angle * np.cross(np.eye(3), axis) @ values[:3, :3]
+        turn[:3, :3] = angle * np.einsum("a,aij->ij", axis, turns)
         yield "turn", turn
 
 
@@ -197,8 +210,13 @@ def _of_values(values: np.ndarray, bounds: tuple[float, float]) -> float:
     return OF_VALUES * (largest if largest > 0.0 else width)
 
 
-def _unit_vector(random: np.random.Generator, axes: tuple[int, ...] = (1, 1, 1)) -> np.ndarray:
+def _towards(pull: np.ndarray, random: np.random.Generator, axes: tuple[int, ...] = (1, 1, 1)) -> np.ndarray:
+    """Return a random unit vector with some of its axes, nearer to a pull if that is not zero."""
     d = random.normal(size=3) * np.array(axes, float)
+    d /= np.linalg.norm(d)
+    pull = pull * np.array(axes, float)
+    if np.any(pull):
+        d = pull / np.linalg.norm(pull) + BESIDE * d
     return d / np.linalg.norm(d)
 
 

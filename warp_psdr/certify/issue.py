@@ -113,7 +113,9 @@ def _prepared(subject: Subject, adjoints: np.ndarray, directions: Directions, re
     pilot = e.pilot()
     found = []
     for name in subject.values:
-        batches = np.stack([gradients[name].sum(axis=0) for gradients in pilot])
+        batches = np.stack([gradients[name] for gradients in pilot])  # (PILOT, K, ...)
+        sizes = np.linalg.norm(batches.mean(axis=0).reshape(len(adjoints), -1), axis=1)
+        batches = batches[:, int(np.argmax(sizes))]
         kept, notes = directions(name, batches.mean(axis=0), batches.std(axis=0, ddof=1))
         found.append(kept)
         e.notes += notes
