@@ -107,10 +107,12 @@ def test_an_adjoint_that_sees_nothing_says_so(scene) -> None:
     [
         ({"budget": 0.0}, "budget: got 0.0"),
         ({"level": 1.0}, "level: got 1.0, expected a number between 0.5 and 1"),
-        ({"tolerance": -0.1}, "tolerance"),
+        ({"tolerance": -0.1}, "tolerance: got -0.1"),
+        ({"tolerance": None}, "tolerance: got None"),
         ({"checks": "slopes"}, "checks: got 'slopes', expected 'all' or some of 'slope'"),
         ({"adjoint": np.ones((3, 3, 3))}, "adjoint: got shape"),
-        ({"sensor": 7}, "sensor"),
+        ({"sensor": 7}, "sensor 7"),
+        ({"sensor": [0, 1]}, "expected the number or the id of one"),
     ],
 )  # fmt: skip
 def test_wrong_options_are_named(scene, options, message) -> None:

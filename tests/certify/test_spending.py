@@ -88,3 +88,20 @@ def test_batches_go_to_the_noisier_side_and_cheap_rows_come_first() -> None:
     counts = plan.counts(rows, 100.0, 0)
     assert counts[id(quiet)] == LEAST and counts[id(a)] < counts[id(noisy)] <= 100 - 2 * LEAST
     assert plan.counts(rows, 1.0e9, 0)[id(noisy)] < MOST
+
+
+def test_a_bias_that_shorter_steps_do_not_show_is_none() -> None:
+    # Long steps see a slope of 1.1: what they are compared with is off, whatever the remainder says.
+    inexact = row(sampler(16, 1.0, 0.01), sampler(17, 0.9, 0.01))
+    inexact.finer = sampler(18, 1.0, 0.02)
+    spend([inexact], 60.0, TOLERANCE, LEVEL)
+    assert inexact.finer is None and inexact.decided and inexact.p_value > 0.5
+    assert abs(inexact.slope.value - 1.0) < 0.02
+
+
+def test_a_bias_that_shorter_steps_show_too_is_one() -> None:
+    wrong = row(sampler(19, 1.1, 0.01), sampler(20, 1.0, 0.01))
+    wrong.finer = sampler(21, 1.0, 0.05)
+    spend([wrong], 60.0, TOLERANCE, LEVEL)
+    assert not wrong.decided and wrong.p_value < 1.0 - LEVEL
+    assert len(wrong.b.batches) >= LEAST and wrong.b.seed == 21

@@ -55,7 +55,7 @@ class Request:
             ValueError: an option out of range, or a check that is not known.
         """
         for name, value, low in (("level", level, 0.5), ("tolerance", tolerance, 0.0)):
-            if not low < value < 1.0:
+            if not low < positive(name, value) < 1.0:
                 raise ValueError(f"{name}: got {value!r}, expected a number between {low:g} and 1")
         wanted = tuple(known) if checks == "all" else (checks,) if isinstance(checks, str) else tuple(checks)
         for name in wanted:
