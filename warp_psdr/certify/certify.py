@@ -75,9 +75,7 @@ def certify(
     request = Request.checked(budget, level, tolerance, checks, seed, CHECKS)
     integrator = integrator_of(scene, integrator)
     if not isinstance(sensor, int | str):
-        raise ValueError(
-            f"sensor: got {sensor!r}, expected the number or the id of one; examine others by further calls"
-        )
+        raise ValueError(f"sensor: got {sensor!r}, expected the number or the id of one; call it for each")
     number = scene.description.sensor_number(sensor)
     require_steady(scene, number, "psdr.certify")
     with untouched(scene) as ledger:

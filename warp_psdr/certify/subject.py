@@ -98,7 +98,7 @@ class SceneSubject:
 
         A budget, in seconds, has time for many.
         """
-        moved = {self.names[0]: self.values[self.names[0]] * (1.0 - 1.0e-6)}
+        moved = {self.names[0]: self.values[self.names[0]]}  # the same, but the scene follows all the same
         image = _size(self.spp[0], lambda n: replace(self, spp=(n, n)).image(moved, 0), budget / IMAGES)
         gradient = _size(self.spp[1], lambda n: replace(self, spp=(n, n)).gradients(adjoints, 0), budget / GRADIENTS)
         return replace(self, spp=(image, gradient))
