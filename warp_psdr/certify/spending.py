@@ -151,8 +151,8 @@ class Row:
         needed = DOUBT[0] * of_b / room if room > 0.0 else math.inf
         self.b.run(max(LEAST, math.ceil(min(needed, MOST))), over)
         batches = self.compared()
-        self.slope = batches.slope(level)
-        self.p_value = max(self.p_value, batches.p_value(tolerance))
+        self.slope, self.heavy = batches.slope(level), batches.heavy
+        self.p_value = max(self.p_value, min(1.0, LOOKS * batches.p_value(tolerance)))
 
     def variances(self) -> tuple[float, float, float]:
         """Return the variances of a batch of both sides, and the remainder, of a slope of 1."""
