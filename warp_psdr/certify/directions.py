@@ -131,12 +131,13 @@ def _of_points(p: Parameter, values, gradient, deviation, unit, random) -> Itera
     if values.size == 3:
         return
     single = min(unit, OF_NEIGHBOURS * _spacing(values))
-    for axes in PLANES if np.any(gradient) else ():
-        yield "gradient", single * _scaled(gradient * np.array(axes, float))
+    welded = _welded(gradient, values)
+    for axes in PLANES if np.any(welded) else ():
+        yield "gradient", single * _scaled(welded * np.array(axes, float))
     for axes in PLANES:
         fields = [_scaled(_field(values, True, random) * np.array(axes, float)) for _ in range(FIELDS)]
         yield "smooth field", unit * max(fields, key=lambda field: abs(float((field * gradient).sum())))
-    yield "one entry", single * _one(gradient, deviation)
+    yield "one entry", single * _scaled(_welded(_one(gradient, deviation), values))
 
 
 def _of_numbers(values, gradient, deviation, unit, random) -> Iterator[tuple[str, np.ndarray]]:
@@ -194,6 +195,14 @@ def _length(p: Parameter, values: np.ndarray, reach: float, pixels: int) -> floa
     elif SHAPE_POSE in p.uses and values.shape == (4, 4):
         size = 2.0 * float(np.linalg.norm(values[:3, :3], axis=0).max())
     return min(PIXELS * reach / pixels, OF_SIZE * size)
+
+
+def _welded(field: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Return a field (N, 3) with its mean at all points of one position: split vertices move together."""
+    _places, which, count = np.unique(points, axis=0, return_inverse=True, return_counts=True)
+    total = np.zeros((len(count), 3))
+    np.add.at(total, which.reshape(-1), field)
+    return (total / count[:, None])[which.reshape(-1)]
 
 
 def _spacing(points: np.ndarray) -> float:
