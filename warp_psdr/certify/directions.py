@@ -21,8 +21,9 @@ ADJOINTS, HALF_WAVES = 3, 3
 OF_VALUES = 0.1
 #: Unit of what moves: pixels, and share of the size of what moves.
 PIXELS, OF_SIZE = 2.0, 0.2
-#: Unit of points that move by themselves, over their distance: faces turn by some such angle [radians].
-OF_NEIGHBOURS = 0.2
+#: By about so much faces turn as points move by themselves, or in waves [radians]. As faces of coarse meshes turn away,
+#: quotients settle slowly.
+TURNING = 0.2
 #: An entry that stands out by more standard errors than these is told well enough.
 ENOUGH = 10.0
 #: Unit of a turn where nothing says how far away things are [radians].
@@ -130,13 +131,14 @@ def _of_points(p: Parameter, values, gradient, deviation, unit, random) -> Itera
         yield "shift", np.broadcast_to(unit * _towards(pull * clear, random, axes), values.shape).copy()
     if values.size == 3:
         return
-    single = min(unit, OF_NEIGHBOURS * _spacing(values))
+    single = min(unit, TURNING * _spacing(values))
+    wave = min(unit, TURNING * float(np.ptp(values, axis=0).max()) / RADIANS)
     welded = _welded(gradient, values)
     for axes in PLANES if np.any(welded) else ():
         yield "gradient", single * _scaled(welded * np.array(axes, float))
     for axes in PLANES:
         fields = [_scaled(_field(values, True, random) * np.array(axes, float)) for _ in range(FIELDS)]
-        yield "smooth field", unit * max(fields, key=lambda field: abs(float((field * gradient).sum())))
+        yield "smooth field", wave * max(fields, key=lambda field: abs(float((field * gradient).sum())))
     yield "one entry", single * _scaled(_welded(_one(gradient, deviation), values))
 
 
