@@ -68,8 +68,8 @@ HOST_LAYERS = (
     | {"sdf", "view"},
     {"render"},
     {"aov", "torch", "__init__"},
-    {"distributed", "fit", "observe"},
-    {"cli", "cli_output", "unknowns"},
+    {"certify", "distributed", "fit", "observe"},
+    {"cli", "cli_certify", "cli_output", "unknowns"},
 )
 #: Device code that imports nothing but itself and ``invalid``, the counters of samples that are dropped.
 GROUND_FLOOR = {"autodiff", "constants", "math", "rng", "sampling", "sink", "structs"}

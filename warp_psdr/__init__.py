@@ -28,6 +28,9 @@ if TYPE_CHECKING:  # for editors and type checkers; at run time names come from 
     from warp_psdr.accuracy.pilot import accuracy
     from warp_psdr.aov import render_aov
     from warp_psdr.bind import bind
+    from warp_psdr.certify.certificate import Certificate
+    from warp_psdr.certify.certify import certify
+    from warp_psdr.certify.function import certify_function
     from warp_psdr.coverage import Coverage, coverage
     from warp_psdr.estimate.boundary.trace import BoundaryTrace
     from warp_psdr.estimate.compile import Compilation, compile
@@ -63,6 +66,7 @@ __version__ = "0.1.0"
 __all__ = [
     "AovIntegrator",
     "BoundaryTrace",
+    "Certificate",
     "Compilation",
     "Coverage",
     "Film",
@@ -81,6 +85,8 @@ __all__ = [
     "bind",
     "boundary",
     "cameras",
+    "certify",
+    "certify_function",
     "compile",
     "cornell_box",
     "coverage",
@@ -127,6 +133,7 @@ __all__ = [
 _PUBLIC = {
     "AovIntegrator": "options.integrator",
     "BoundaryTrace": "estimate.boundary.trace",
+    "Certificate": "certify.certificate",
     "Compilation": "estimate.compile",
     "Coverage": "coverage",
     "Film": "film",
@@ -143,6 +150,8 @@ _PUBLIC = {
     "Transform": "scene.transforms",
     "accuracy": "accuracy.pilot",
     "bind": "bind",
+    "certify": "certify.certify",
+    "certify_function": "certify.function",
     "compile": "estimate.compile",
     "cornell_box": "scene.cornell_box",
     "coverage": "coverage",

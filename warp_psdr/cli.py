@@ -1,4 +1,4 @@
-"""The command line: ``warp-psdr render | gradient | accuracy | plan | compile | fit | view``.
+"""The command line: ``warp-psdr render | gradient | accuracy | certify | plan | compile | fit | view``.
 
 Everything but argparse is loaded by the command that needs it, so that ``--help`` answers at once. A user's mistake
 ends in one line on standard error and exit status 2.
@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from warp_psdr.cli_certify import add_certify_options, run_certify
 from warp_psdr.cli_output import FIT_KEYS, Version, add_pool_options, fractions, notes, pool
 
 __all__ = ["main"]
@@ -107,6 +108,15 @@ def _parser() -> argparse.ArgumentParser:
     accuracy.add_argument("--seed", type=int, default=0, help="of the pilot (default 0)")
     accuracy.add_argument("--plot", type=Path, metavar="FILE.png", help="draw the error against the time")
     accuracy.add_argument("--json", type=Path, metavar="FILE.json", help="write the report")
+
+    certify = command(
+        "certify",
+        _certify,
+        "Examine gradients: are they right? Exit status 0: within the tolerance, 3: a bias was found, 4: undecided "
+        "within the budget, 2: it cannot be examined.",
+    )
+    _scene_options(certify)
+    add_certify_options(certify)
 
     plan = command(
         "plan", _plan, "Print what would be compiled and estimated, and why; without --param, all parameters, too."
@@ -322,6 +332,13 @@ def _accuracy(arguments: argparse.Namespace) -> int:
         report.save(arguments.json)
         print(f"wrote {arguments.json}")
     return 0
+
+
+def _certify(arguments: argparse.Namespace) -> int:
+    for path, suffixes in ((arguments.json, (".json",)), (arguments.html, (".html", ".htm"))):
+        if path is not None:
+            _prepare(path, *suffixes)
+    return run_certify(arguments, *_load(arguments))
 
 
 def _plan(arguments: argparse.Namespace) -> int:

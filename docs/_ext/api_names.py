@@ -12,7 +12,10 @@ GROUPS: dict[str, tuple[str, ...]] = {
         *("PathIntegrator", "AovIntegrator", "Parameters", "Transform"),
     ),
     "Scenes": ("load_mesh", "preview_scene", "load_string", "cornell_box", "Scene", "SceneWarning"),
-    "Plan and cost": ("plan", "coverage", "accuracy", "compile", "methods", "Plan", "Coverage", "Compilation"),
+    "Plan and cost": (
+        *("plan", "coverage", "accuracy", "certify", "certify_function", "compile", "methods"),
+        *("Plan", "Coverage", "Certificate", "Compilation"),
+    ),
     "Other images": ("render_aov", "render_parts", "render_moment", "Image", "Film"),
     "Photographs": ("Photograph", "Observation", "solve", "Solution"),
     "Pictures and files": ("view", "read_image", "write_image"),
