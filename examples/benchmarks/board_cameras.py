@@ -5,8 +5,8 @@
 **Lenses**: the 13 photographs of a camera together, first poses and light, then all; focal length, centre, k1, k2, p1,
 p2, k3, and 13 poses. The left lens starts 2 % off in focal length, with the film's centre, and k1 -.2 alone; its poses
 1 degree and 4 mm off those by which that lens sees the board where it is. The right camera starts from the left lens
-and poses found, 80 mm aside. Compared with are OpenCV's file of the left lens, and, where ``cv2`` is installed, what
-OpenCV finds from corners without the second pair, in which it misplaces some by pixels.
+and poses found, 80 mm aside, and is moved as one rig first. Compared with are OpenCV's file of the left lens, and,
+where ``cv2`` is installed, what OpenCV finds from corners without the second pair, in which it misplaces some.
 
 **Pairs**: in each of 13 pairs the board and the right camera's pose are unknown, the lenses are those found. One rig
 has one baseline: the row says how far a pair's length is from the mean of the others', over its 95 % bar.
@@ -46,7 +46,7 @@ class Camera:
     """The 13 photographs of one camera, a sensor each, before a board at rest."""
 
     def __init__(self, study: Board, files: list[Path], start: Lens, poses: np.ndarray):
-        self.study, self.start = study, start
+        self.study, self.start, self.poses = study, start, poses
         self.names = [file.stem for file in files]
         sensors = {name: start.sensor(pose) for name, pose in zip(self.names, poses, strict=True)}
         self.scene = scene_of(study.corners, study.pattern, sensors)
@@ -76,8 +76,15 @@ class Camera:
             held[key] = sensor.get(key, 0.0)
         return {f"{name}.{key}": np.array([value]) for name in self.names for key, value in held.items()}
 
-    def solve(self):
-        """Find the poses and the light, and then the lens with them."""
+    def rig(self, x: np.ndarray) -> dict[str, np.ndarray]:
+        """Return all cameras' poses if each is moved alike from where it started; x: a rotation vector and a shift."""
+        moved = np.eye(4)
+        moved[:3, :3], moved[:3, 3] = Rotation.from_rotvec(x[:3]).as_matrix(), x[3:]
+        found = zip(self.names, self.poses, strict=True)
+        return {f"{name}.to_world": np.linalg.inv(moved @ pose) @ TO_OPENCV for name, pose in found}
+
+    def solve(self, *, moves_alike: bool = False):
+        """Find the poses and the light, and then the lens with them; first one motion of all poses if they have it."""
         bright = np.concatenate([p.linear[p.weights > 0.0] for p in self.photographs.values()])
         low, high = np.quantile(bright, [0.2, 0.8])
         name = next(n for n in self.params if n.endswith("reflectance.data"))
@@ -107,6 +114,8 @@ class Camera:
 
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # a lens that is off leaves residuals
+            if moves_alike:
+                found([dark, psdr.unknowns.Function(self.rig, [0.0] * 6)])
             found([dark, *poses])
         return found([self.unknown, dark, *poses])
 
@@ -221,7 +230,7 @@ def main() -> None:
     aside[0, 3] = -RULER
     starts = np.array([aside @ left.pose(name) for name in left.names])
     right = Camera(study, study.files(options.photos, "right")[:count], Lens(left.unknown.x), starts)
-    found["right"] = right.solve()
+    found["right"] = right.solve(moves_alike=True)
     cameras = {"left": left, "right": right}
     files = {side: study.files(options.photos, side) for side in cameras}
     title = f"lenses of both cameras, {count} photographs of each at once"
