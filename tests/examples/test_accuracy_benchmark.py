@@ -1,12 +1,8 @@
 """The benchmark of predictions: the error of runs, told from their batches."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "examples" / "benchmarks"
 #: Means and deviations of two terms of three components in two blocks, and the batches of each.
 MEAN = np.array([[10.0, -5.0, 20.0], [3.0, 4.0, 10.0]])
 DEVIATION = np.array([[0.5, 0.2, 1.5], [0.1, 0.6, 0.4]])
@@ -14,15 +10,8 @@ BLOCKS, BATCHES = [slice(0, 2), slice(2, 3)], (60, 90)
 
 
 @pytest.fixture
-def predictions(monkeypatch: pytest.MonkeyPatch):
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import accuracy_predictions
-
-    yield accuracy_predictions
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(BENCHMARKS)):
-            del sys.modules[name]
+def predictions(modules):
+    return modules("accuracy_predictions")
 
 
 def test_error_of_runs_is_unbiased_and_knows_its_own(predictions):

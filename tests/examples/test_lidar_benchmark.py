@@ -1,12 +1,8 @@
 """The benchmark of a lidar: what an instrument makes of light, its derivatives, and its calibration."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "examples" / "benchmarks"
 ZONES, BINS, FINE = 4, 64, 0.01
 LENGTHS = FINE * (np.arange(100) + 0.5)
 RATE = np.random.default_rng(1).random((2, 3, 8)) * 0.2
@@ -16,15 +12,8 @@ DIFFERENCES = 1e-6
 
 
 @pytest.fixture
-def lidar(monkeypatch: pytest.MonkeyPatch):
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    import lidar_histograms
-
-    yield lidar_histograms
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(BENCHMARKS)):
-            del sys.modules[name]
+def lidar(modules):
+    return modules("lidar_histograms")
 
 
 def pulse(lidar):
@@ -103,9 +92,8 @@ def test_residuals_of_histograms_have_their_derivatives(lidar):
     assert seen.doubts(image).shape == (3, ZONES, BINS, 1)
 
 
-def test_peaks_lie_between_bins(lidar):
-    import lidar_plane
-
+def test_peaks_lie_between_bins(modules):
+    lidar_plane = modules("lidar_plane")
     places = np.array([20.0, 20.3, 41.7])
     counts = 1e6 * np.exp(-0.5 * ((np.arange(BINS) - places[:, None]) / 1.5) ** 2)
     np.testing.assert_allclose(lidar_plane.peaks(counts), places, atol=1e-5)

@@ -1,7 +1,6 @@
 """The benchmark of requests: what it draws from a scene, slopes, how it groups refusals, and its processes."""
 
 import argparse
-import importlib
 import json
 import os
 import sys
@@ -12,26 +11,12 @@ import pytest
 
 import warp_psdr as psdr
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "examples" / "benchmarks"
 #: A refusal as the plan says it, of two parameters.
 FRAME = "the requested gradient has a boundary term ({} moves silhouettes), which boundary.PathSpace() cannot estimate "
 REFUSAL = FRAME + "here: {!r} carries a texture; use a bitmap; or say PathIntegrator(boundary=None) to get the rest"
 DONE = {"kind": "scene", "result": "done", "why": ""}
 #: The worst of 200 slopes lies within so many standard errors of eight batches.
 SIGMAS = 8.0
-
-
-@pytest.fixture
-def modules(monkeypatch: pytest.MonkeyPatch):
-    """Import files of the benchmarks by their names, which packages and folders of tests may have, too."""
-    for file in BENCHMARKS.glob("*.py"):
-        monkeypatch.delitem(sys.modules, file.stem, raising=False)
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(str(BENCHMARKS))
-    yield importlib.import_module
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(BENCHMARKS)):
-            del sys.modules[name]
 
 
 def options(modules, **more):

@@ -1,7 +1,5 @@
 """What the benchmark of the rings reads and carves, on silhouettes of a ball that are drawn here."""
 
-import importlib
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -17,17 +15,8 @@ NODES, NODE = 40, 0.0025
 
 
 @pytest.fixture(scope="module")
-def data():
-    """Import ``rings_data`` with the files beside it, and forget all of them."""
-    files = {f.stem for f in (*BENCHMARKS.glob("*.py"), *BENCHMARKS.parent.glob("*.py"))}
-    with pytest.MonkeyPatch.context() as patch:
-        for name in files:
-            patch.delitem(sys.modules, name, raising=False)
-        patch.setattr(sys, "path", [str(BENCHMARKS), *sys.path])
-        yield importlib.import_module("rings_data")
-        for name in files & set(sys.modules):
-            if str(getattr(sys.modules[name], "__file__", "")).startswith(str(BENCHMARKS.parent)):
-                del sys.modules[name]
+def data(modules):
+    return modules("rings_data")
 
 
 @pytest.fixture(scope="module")

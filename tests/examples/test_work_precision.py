@@ -1,6 +1,5 @@
 """The work-precision benchmark: its statistics, its file of measurements, its tables, and one small run of it."""
 
-import importlib
 import json
 import sys
 from pathlib import Path
@@ -13,24 +12,6 @@ ROOT = Path(__file__).resolve().parents[2]
 #: Standard errors within which an unbiased estimate lies; twice in a million tests it does not.
 SIGMAS = 4.75
 TRIALS, IMAGES, VALUES = 400, 6, 50
-
-
-@pytest.fixture
-def modules(monkeypatch: pytest.MonkeyPatch):
-    """Import files of the benchmarks by their names, which folders of tests may have, too."""
-    folder = ROOT / "examples" / "benchmarks"
-    for file in folder.glob("*.py"):
-        monkeypatch.delitem(sys.modules, file.stem, raising=False)
-    before = set(sys.modules)
-    monkeypatch.syspath_prepend(str(folder))
-
-    def load(name: str) -> ModuleType:
-        return importlib.import_module(name)
-
-    yield load
-    for name in set(sys.modules) - before:
-        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(ROOT / "examples")):
-            del sys.modules[name]
 
 
 def rows(modules, case="box"):
