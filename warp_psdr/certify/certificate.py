@@ -94,6 +94,35 @@ class OfParameter:
         return max(slopes, key=lambda s: max(1.0 - s.low, s.high - 1.0), default=None)
 
 
+@dataclass(frozen=True)
+class Effect:
+    """What a gradient loses without an effect.
+
+    Attributes:
+        option: of the integrator, by which the effect is left out.
+        parameter: name of the parameter.
+        lost: share of the derivative along the direction that stands out most; negative: it grows.
+        error: standard error of ``lost``.
+        bar: half of its 95 % bar.
+        saved: share of the gradient's time.
+    """
+
+    option: str
+    parameter: str
+    lost: float
+    error: float
+    bar: float
+    saved: float
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the table's cells."""
+        lost = f"{100.0 * self.lost:.3g} ± {100.0 * self.bar:.2g} %"
+        return self.parameter, self.option, lost, f"{100.0 * self.saved:.0f} %"
+
+
+EFFECTS_HEADER = ("parameter", "option", "loses", "saves, of the time")
+
+
 HEADER = ("parameter", "check", "what", "slope", "interval", "p", "verdict", "")
 
 
@@ -104,6 +133,7 @@ class Certificate(Mapping[str, OfParameter]):
     Attributes:
         parameters: names of what was examined.
         findings: all comparisons.
+        effects: what gradients lose without an effect.
         refused: (method, reason) of methods that do not cover the request.
         notes: what else is known.
         level: probability with which intervals hold, and with which no right gradient is called biased.
@@ -114,6 +144,7 @@ class Certificate(Mapping[str, OfParameter]):
 
     parameters: tuple[str, ...]
     findings: tuple[Finding, ...]
+    effects: tuple[Effect, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     level: float
@@ -141,10 +172,9 @@ class Certificate(Mapping[str, OfParameter]):
         return True if verdicts == {WITHIN} else None
 
     def __str__(self) -> str:
-        rows = [HEADER, *(f.cells() for f in self.findings)]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(HEADER))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        return "\n".join([self.summary, "", *lines, "", *self._below()]).rstrip()
+        tables = [_aligned([HEADER, *(f.cells() for f in self.findings)])] if self.findings else []
+        tables += [_aligned([EFFECTS_HEADER, *(e.cells() for e in self.effects)])] if self.effects else []
+        return "\n\n".join([self.summary, *tables, "\n".join(self._below())]).rstrip()
 
     @property
     def summary(self) -> str:
@@ -162,6 +192,8 @@ class Certificate(Mapping[str, OfParameter]):
     def _repr_html_(self) -> str:
         """Return the table that a notebook shows."""
         table = html.table(HEADER, [f.cells() for f in self.findings])
+        if self.effects:
+            table += html.preformatted("") + html.table(EFFECTS_HEADER, [e.cells() for e in self.effects])
         return html.preformatted(self.summary) + table + html.preformatted("\n".join(self._below()))
 
     def to_json(self) -> dict[str, Any]:
@@ -180,6 +212,12 @@ class Certificate(Mapping[str, OfParameter]):
         head = f'<head><meta charset="utf-8"><title>Certificate of gradients</title><style>{STYLE}</style></head>'
         text = f"<!doctype html><html>{head}<body>{self._repr_html_()}</body></html>\n"
         write_atomic(path, lambda file: file.write(text.encode()))
+
+
+def _aligned(rows: list[tuple[str, ...]]) -> str:
+    """Return rows as text in columns."""
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
 def _needed(seconds: float) -> str:

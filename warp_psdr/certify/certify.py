@@ -10,7 +10,7 @@ import numpy as np
 
 from warp_psdr.certify.certificate import Certificate
 from warp_psdr.certify.directions import Direction, directions_of, random_adjoints
-from warp_psdr.certify.issue import CHECKS, Request, issue
+from warp_psdr.certify.issue import NAMES, Request, issue
 from warp_psdr.certify.subject import SceneSubject, adjoints_of, untouched
 from warp_psdr.estimate.arguments import flat_tangents, requested
 from warp_psdr.options.integrator import Integrator
@@ -59,7 +59,7 @@ def certify(
             taken whatever it is.
         level: probability with which no right gradient is called biased, and with which intervals hold.
         tolerance: a slope within 1 +- tolerance is right.
-        checks: "all", or names: "slope", "identities", "estimators".
+        checks: "all", or names: "slope", "identities", "estimators", "necessity".
         seed: of all random numbers. How many batches there are depends on the clock.
         progress: called with the finished fraction.
 
@@ -72,7 +72,7 @@ def certify(
     """
     check_loaded(scene)
     names = requested(scene, params)
-    request = Request.checked(budget, level, tolerance, checks, seed, CHECKS)
+    request = Request.checked(budget, level, tolerance, checks, seed, NAMES)
     integrator = integrator_of(scene, integrator)
     if not isinstance(sensor, int | str):
         raise ValueError(f"sensor: got {sensor!r}, expected the number or the id of one; call it for each")

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_psdr.accuracy.report import positive
-from warp_psdr.certify import estimators, identities, slope
+from warp_psdr.certify import estimators, identities, necessity, slope
 from warp_psdr.certify.certificate import BIASED, NOT_SEEN, UNDECIDED, WITHIN, Certificate, Finding
 from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.examination import Examination
@@ -24,6 +24,8 @@ CHECKS: dict[str, Callable[[Examination], list[Row]]] = {
     identities.NAME: identities.rows,
     estimators.NAME: estimators.rows,
 }
+#: Names of all checks.
+NAMES = (*CHECKS, necessity.NAME)
 #: Share of the budget that pilots and the least batches of differences may take, and those of other methods; every
 #: parameter has one direction at least.
 PILOT_SHARE, METHODS_SHARE = 0.25, 0.25
@@ -84,7 +86,8 @@ def issue(
     """
     start = time.perf_counter()
     e = _prepared(subject, adjoints, directions, request)
-    rows = [row for name in request.checks for row in CHECKS[name](e)] if e.directions else []
+    rows = [row for name in request.checks if name in CHECKS for row in CHECKS[name](e)] if e.directions else []
+    effects = necessity.effects(e, request.budget) if necessity.NAME in request.checks else []
     start += e.compiling
     left = request.budget - (time.perf_counter() - start)
     spend(rows, left, request.tolerance, request.level, progress)
@@ -94,6 +97,7 @@ def issue(
     return Certificate(
         parameters=tuple(subject.values),
         findings=tuple(_finding(row, p, request.level) for row, p in zip(rows, adjusted, strict=True)),
+        effects=tuple(effects),
         refused=tuple(e.refused),
         notes=(*e.notes, *afterwards()),
         level=request.level,
