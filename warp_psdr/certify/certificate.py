@@ -123,6 +123,29 @@ class Effect:
 EFFECTS_HEADER = ("parameter", "option", "loses", "saves, of the time")
 
 
+#: Relative errors whose price is told.
+ERRORS = (0.1, 0.03, 0.01)
+
+
+@dataclass(frozen=True)
+class Price:
+    """What a gradient costs.
+
+    Attributes:
+        parameter: name of the parameter.
+        seconds: to relative errors of ``ERRORS`` (root mean square), about; infinite where the pilot saw noise alone.
+    """
+
+    parameter: str
+    seconds: tuple[float, ...]
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the table's cells."""
+        return self.parameter, *("?" if math.isinf(s) else f"{s:.2g} s" for s in self.seconds)
+
+
+PRICES_HEADER = ("parameter", *(f"to {100.0 * error:g} %" for error in ERRORS))
+
 HEADER = ("parameter", "check", "what", "slope", "interval", "p", "verdict", "")
 
 
@@ -134,6 +157,7 @@ class Certificate(Mapping[str, OfParameter]):
         parameters: names of what was examined.
         findings: all comparisons.
         effects: what gradients lose without an effect.
+        prices: what gradients cost.
         refused: (method, reason) of methods that do not cover the request.
         notes: what else is known.
         level: probability with which intervals hold, and with which no right gradient is called biased.
@@ -145,6 +169,7 @@ class Certificate(Mapping[str, OfParameter]):
     parameters: tuple[str, ...]
     findings: tuple[Finding, ...]
     effects: tuple[Effect, ...] = ()
+    prices: tuple[Price, ...] = ()
     refused: tuple[tuple[str, str], ...] = ()
     notes: tuple[str, ...] = ()
     level: float
@@ -172,8 +197,7 @@ class Certificate(Mapping[str, OfParameter]):
         return True if verdicts == {WITHIN} else None
 
     def __str__(self) -> str:
-        tables = [_aligned([HEADER, *(f.cells() for f in self.findings)])] if self.findings else []
-        tables += [_aligned([EFFECTS_HEADER, *(e.cells() for e in self.effects)])] if self.effects else []
+        tables = [_aligned([header, *rows]) for header, rows in self._tables()]
         return "\n\n".join([self.summary, *tables, "\n".join(self._below())]).rstrip()
 
     @property
@@ -186,15 +210,19 @@ class Certificate(Mapping[str, OfParameter]):
         spent = f"{self.seconds:.1f} s of {self.budget:g} s"
         return f"gradients: {told} (slope 1 ± {self.tolerance:g} at level {self.level:g}; {spent})"
 
+    def _tables(self) -> list[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
+        """Return (header, rows) of each table that has rows."""
+        tables = ((HEADER, self.findings), (EFFECTS_HEADER, self.effects), (PRICES_HEADER, self.prices))
+        return [(header, [item.cells() for item in items]) for header, items in tables if items]
+
     def _below(self) -> list[str]:
         return [*self.notes, *(f"{method} does not cover it: {reason}" for method, reason in self.refused)]
 
     def _repr_html_(self) -> str:
         """Return the table that a notebook shows."""
-        table = html.table(HEADER, [f.cells() for f in self.findings])
-        if self.effects:
-            table += html.preformatted("") + html.table(EFFECTS_HEADER, [e.cells() for e in self.effects])
-        return html.preformatted(self.summary) + table + html.preformatted("\n".join(self._below()))
+        tables = [html.table(header, rows) for header, rows in self._tables()]
+        texts = (html.preformatted(text) for text in (self.summary, "\n".join(self._below())))
+        return html.preformatted("").join(tables).join(texts)
 
     def to_json(self) -> dict[str, Any]:
         """Return the certificate in values that JSON has; numbers that are not finite are None."""

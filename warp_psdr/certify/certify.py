@@ -59,7 +59,8 @@ def certify(
             taken whatever it is.
         level: probability with which no right gradient is called biased, and with which intervals hold.
         tolerance: a slope within 1 +- tolerance is right.
-        checks: "all", or names: "slope", "identities", "estimators", "necessity".
+        checks: "all", or names: "slope", "identities", "estimators", "necessity",
+            "price".
         seed: of all random numbers. How many batches there are depends on the clock.
         progress: called with the finished fraction.
 

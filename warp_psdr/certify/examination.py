@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from warp_psdr.certify.certificate import Price
 from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.spending import LEAST, PILOT, Sampler
 from warp_psdr.certify.subject import SceneSubject, Subject
@@ -28,6 +29,7 @@ class Examination:
         base: batches (K, directions) of the derivative that is examined.
         refused: (method, reason) of methods that do not cover the request.
         notes: what else there is to say.
+        prices: what gradients cost.
         for_methods: seconds that pilots of other methods and modes, and the least batches of each, may take.
         compiling: seconds of calls that compile, which no budget pays for.
     """
@@ -40,6 +42,7 @@ class Examination:
     base: Sampler = field(init=False)
     refused: list[tuple[str, str]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    prices: list[Price] = field(default_factory=list)
     for_methods: float = 0.0
     compiling: float = 0.0
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_psdr.accuracy.report import positive
-from warp_psdr.certify import estimators, identities, necessity, slope
+from warp_psdr.certify import estimators, identities, necessity, price, slope
 from warp_psdr.certify.certificate import BIASED, NOT_SEEN, UNDECIDED, WITHIN, Certificate, Finding
 from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.examination import Examination
@@ -25,7 +25,7 @@ CHECKS: dict[str, Callable[[Examination], list[Row]]] = {
     estimators.NAME: estimators.rows,
 }
 #: Names of all checks.
-NAMES = (*CHECKS, necessity.NAME)
+NAMES = (*CHECKS, necessity.NAME, price.NAME)
 #: Share of the budget that pilots and the least batches of differences may take, and those of other methods; every
 #: parameter has one direction at least.
 PILOT_SHARE, METHODS_SHARE = 0.25, 0.25
@@ -98,6 +98,7 @@ def issue(
         parameters=tuple(subject.values),
         findings=tuple(_finding(row, p, request.level) for row, p in zip(rows, adjusted, strict=True)),
         effects=tuple(effects),
+        prices=tuple(e.prices) if price.NAME in request.checks else (),
         refused=tuple(e.refused),
         notes=(*e.notes, *afterwards()),
         level=request.level,
@@ -120,6 +121,7 @@ def _prepared(subject: Subject, adjoints: np.ndarray, directions: Directions, re
         batches = np.stack([gradients[name] for gradients in pilot])  # (PILOT, K, ...)
         sizes = np.linalg.norm(batches.mean(axis=0).reshape(len(adjoints), -1), axis=1)
         batches = batches[:, int(np.argmax(sizes))]
+        e.prices.append(price.price(name, batches, e.base.cost / len(adjoints)))
         kept, notes = directions(name, batches.mean(axis=0), batches.std(axis=0, ddof=1))
         found.append(kept)
         e.notes += notes
