@@ -18,7 +18,8 @@ def add_certify_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--budget", type=float, default=60.0, help="seconds, compiling left out (default 60)")
     parser.add_argument("--level", type=float, default=0.99, help="of all verdicts together (default 0.99)")
     parser.add_argument("--tolerance", type=float, default=0.02, help="of slopes about 1 (default 0.02)")
-    parser.add_argument("--check", action="append", metavar="NAME", help="slope, identities, estimators, necessity, price; repeatable")
+    checks = "slope, identities, estimators, necessity, price; repeatable"
+    parser.add_argument("--check", action="append", metavar="NAME", help=checks)
     parser.add_argument(
         "--boundary", choices=("auto", "none"), default="auto", help="none: leave the boundary term out"
     )

@@ -161,6 +161,34 @@ def test_the_formulas_are_opencvs(name):
     np.testing.assert_allclose(found.reshape(-1, 2), expected, atol=ROUNDING)
 
 
+@pytest.mark.parametrize("name", ["opencv", "fisheye"])
+def test_undistorted_images_are_those_of_the_plain_camera(name):
+    cv2 = pytest.importorskip("cv2")
+    # A sky of slow waves: resampling it leaves no error to speak of.
+    y, x = np.mgrid[0:64, 0:128] / 64.0
+    sky = np.stack([1.0 + 0.5 * np.sin(2.0 * np.pi * (k * x + y)) for k in (6, 10, 8)], axis=-1).astype(np.float32)
+    film = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, "rfilter": {"type": "box"}}
+    sensor = {"type": "perspective", "fov": FOV, "to_world": POSE, "film": film}
+    lens = {"distortion": "opencv", **OPENCV} if name == "opencv" else {"distortion": "fisheye", **FISHEYE}
+    plain, bent = (
+        psdr.render(
+            psdr.load_dict({"type": "scene", "sensor": sensor | more, "sky": {"type": "envmap", "data": sky}}),
+            integrator=psdr.PathIntegrator(max_depth=1),
+            spp=64,
+        ).numpy()
+        for more in ({}, lens)
+    )
+    f = 0.5 * WIDTH / np.tan(np.radians(0.5 * FOV))
+    matrix = np.array([[f, 0.0, 0.5 * WIDTH - 0.5], [0.0, f, 0.5 * HEIGHT - 0.5], [0.0, 0.0, 1.0]])
+    if name == "fisheye":
+        found = cv2.fisheye.undistortImage(bent, matrix, np.array(list(FISHEYE.values())), Knew=matrix)
+    else:
+        found = cv2.undistort(bent, matrix, np.array(list(OPENCV.values())))
+    inside = np.s_[8:-8, 8:-8]
+    assert np.abs(bent - plain)[inside].max() > 0.1
+    np.testing.assert_allclose(found[inside], plain[inside], atol=0.02)
+
+
 def test_what_a_lens_folds_onto_the_film_is_not_seen():
     """Far beside the axis this polynomial turns back: a point there has an image on the film, and no ray."""
     scene = load(k1=-0.2, principal_point_offset_x=0.0)
