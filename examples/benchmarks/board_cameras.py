@@ -8,8 +8,9 @@ p2, k3, and 13 poses. The left lens starts 2 % off in focal length, with the fil
 and poses found, 80 mm aside, and is moved as one rig first. Compared with are OpenCV's file of the left lens, and,
 where ``cv2`` is installed, what OpenCV finds from corners without the second pair, in which it misplaces some.
 
-**Pairs**: in each of 13 pairs the board and the right camera's pose are unknown, the lenses are those found. One rig
-has one baseline: the row says how far a pair's length is from the mean of the others', over its 95 % bar.
+**Pairs**: in each of 13 pairs the board and the right camera's pose are unknown, the lenses are those found; it starts
+80 mm aside. One rig has one baseline: the row says how far a pair's length is from the mean of the others', over its
+95 % bar.
 """
 
 import time
@@ -120,6 +121,13 @@ class Camera:
         return found([self.unknown, dark, *poses])
 
 
+def aside() -> np.ndarray:
+    """Return (4, 4) from the left camera's points to the right's as a ruler tells it, OpenCV's axes."""
+    found = np.eye(4)
+    found[0, 3] = -RULER
+    return found
+
+
 def by_corners(files: list[Path]) -> Lens | None:
     """Return the lens that OpenCV finds from corners, the second photograph left out; None without ``cv2``."""
     try:
@@ -157,7 +165,7 @@ def lenses(study: Board, files: dict[str, list[Path]], cameras: dict[str, Camera
 
 def pairs(study: Board, folder: Path, left: Camera, right: Camera) -> list[dict]:
     """Return rows: the baseline of each pair of photographs, each found by itself."""
-    rig = np.linalg.inv(TO_OPENCV @ right.pose(right.names[0]) @ np.linalg.inv(left.pose(left.names[0])) @ TO_OPENCV)
+    rig = np.linalg.inv(aside()) @ TO_OPENCV
     sides = {"left": Lens(left.unknown.x), "right": Lens(right.unknown.x)}
     sensors = {side: lens.sensor(np.eye(4)) for side, lens in sides.items()}
     scene = scene_of(study.corners, study.pattern, sensors)
@@ -171,7 +179,7 @@ def pairs(study: Board, folder: Path, left: Camera, right: Camera) -> list[dict]
 
     rows = []
     for i, name in enumerate(left.names):
-        params[POSE] = (TO_OPENCV @ left.pose(name)).astype(np.float32)
+        params[POSE] = left.pose(name).astype(np.float32)  # the world's axes are those of the left camera
         params["right.to_world"] = rig.astype(np.float32)
         params.update()
         observed = {
@@ -226,9 +234,7 @@ def main() -> None:
     starts = np.array([moved(aim @ pose, *OFF, rng) for pose in study.to_camera[:count]])
     left = Camera(study, study.files(options.photos, "left")[:count], START, starts)
     found["left"] = left.solve()
-    aside = np.eye(4)
-    aside[0, 3] = -RULER
-    starts = np.array([aside @ left.pose(name) for name in left.names])
+    starts = np.array([aside() @ left.pose(name) for name in left.names])
     right = Camera(study, study.files(options.photos, "right")[:count], Lens(left.unknown.x), starts)
     found["right"] = right.solve(moves_alike=True)
     cameras = {"left": left, "right": right}
