@@ -82,9 +82,7 @@ class Coverage(Sequence[Cell]):
 
     def __repr__(self) -> str:
         rows = [self._header(), *self._rows()]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        lines = ["  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows]
-        return "\n".join([*lines, "", *(f"{n}: {reason}" for reason, n in self.reasons.items())])
+        return "\n".join([*html.aligned(rows), "", *(f"{n}: {reason}" for reason, n in self.reasons.items())])
 
     def _repr_html_(self) -> str:
         sentences = html.table(("", "refused"), [(str(n), reason) for reason, n in self.reasons.items()])

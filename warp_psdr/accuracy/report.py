@@ -286,7 +286,7 @@ class Report:
             row: tuple[str, ...] = (term.name, str(term.spp), f"{term.fixed_seconds:.2g}", f"{term.sample_seconds:.2g}")
             row += (f"{term.setup_seconds:.2g}" if term.setup_seconds else "-", f"{math.sqrt(u):.3g}", falls)
             rows.append((*row, f"{term.kurtosis:.1f}" if u > 0.0 else "-", f"{100.0 * share:.0f} %"))
-        lines += ["", *_table(rows)]
+        lines += ["", *html.aligned(rows)]
         rows = [("parameter", "norm", *(t.name for t in self.terms))]
         for block in list(self.norm2)[:PRINTED_BLOCKS]:
             norm2 = self.norm2[block]
@@ -295,7 +295,7 @@ class Report:
                 continue
             half = DEVIATE * self.norm2_error[block] / (2.0 * math.sqrt(norm2))
             rows.append((block, f"{math.sqrt(norm2):.3g} ± {half:.1g}", *(_error(t, block, norm2) for t in self.terms)))
-        lines += ["", "Relative error of a batch, a parameter and a term (95 % intervals):", *_table(rows)]
+        lines += ["", "Relative error of a batch, a parameter and a term (95 % intervals):", *html.aligned(rows)]
         if len(self.norm2) > PRINTED_BLOCKS:
             lines.append(f"... and {len(self.norm2) - PRINTED_BLOCKS} more parameters")
         rows = [("relative error", "seconds", "95 % interval", *(f"spp, {t.name}" for t in self.terms))]
@@ -304,7 +304,7 @@ class Report:
             low, high = self.seconds_interval(error)
             cells = (f"{error:g}", f"{found.seconds:.3g}", f"{low:.3g} .. {high:.3g}")
             rows.append((*cells, *(str(n) for n in found.spp.values())))
-        lines += ["", "Predicted:", *_table(rows)]
+        lines += ["", "Predicted:", *html.aligned(rows)]
         if self.tile:
             by = "the adjoint and, in" if self.role == "reverse" else "their variance in"
             of = ", their variance" if self.role == "reverse" else ""
@@ -450,8 +450,3 @@ def _plain(value: Any) -> Any:
 
 def _restored(term: dict[str, Any]) -> dict[str, Any]:
     return {name: math.nan if value is None else value for name, value in term.items()}
-
-
-def _table(rows: list[tuple[str, ...]]) -> list[str]:
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return ["  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=True)).rstrip() for row in rows]

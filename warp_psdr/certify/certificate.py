@@ -197,7 +197,7 @@ class Certificate(Mapping[str, OfParameter]):
         return True if verdicts == {WITHIN} else None
 
     def __str__(self) -> str:
-        tables = [_aligned([header, *rows]) for header, rows in self._tables()]
+        tables = ["\n".join(html.aligned([header, *rows])) for header, rows in self._tables()]
         return "\n\n".join([self.summary, *tables, "\n".join(self._below())]).rstrip()
 
     @property
@@ -220,9 +220,8 @@ class Certificate(Mapping[str, OfParameter]):
 
     def _repr_html_(self) -> str:
         """Return the table that a notebook shows."""
-        tables = [html.table(header, rows) for header, rows in self._tables()]
-        texts = (html.preformatted(text) for text in (self.summary, "\n".join(self._below())))
-        return html.preformatted("").join(tables).join(texts)
+        tables = html.preformatted("").join(html.table(header, rows) for header, rows in self._tables())
+        return html.preformatted(self.summary) + tables + html.preformatted("\n".join(self._below()))
 
     def to_json(self) -> dict[str, Any]:
         """Return the certificate in values that JSON has; numbers that are not finite are None."""
@@ -240,12 +239,6 @@ class Certificate(Mapping[str, OfParameter]):
         head = f'<head><meta charset="utf-8"><title>Certificate of gradients</title><style>{STYLE}</style></head>'
         text = f"<!doctype html><html>{head}<body>{self._repr_html_()}</body></html>\n"
         write_atomic(path, lambda file: file.write(text.encode()))
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> str:
-    """Return rows as text in columns."""
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(row, widths, strict=True)).rstrip() for row in rows)
 
 
 def _needed(seconds: float) -> str:

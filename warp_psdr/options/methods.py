@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
+from warp_psdr import html
+
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
@@ -34,10 +36,7 @@ class MethodTable(tuple[Method, ...]):
     def __repr__(self) -> str:
         rows = [["paper", "method", "option", "term", "file", "page"]]
         rows += [[f"[{m.key}]", m.paper, f"psdr.{m.option}", m.term, m.file, m.page] for m in self]
-        widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
-        return "\n".join(
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-        )
+        return "\n".join(html.aligned(rows))
 
     def _repr_html_(self) -> str:
         names = [f.name for f in fields(Method)]
