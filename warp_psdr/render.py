@@ -281,15 +281,17 @@ def render_backward(
         time_budget: instead of ``spp``: seconds to be spent, after compiling.
         report: of ``psdr.accuracy`` for this call, or one like it; a budget without one runs a pilot of its own.
         errors: also tell how far random numbers may have moved each number: ``params[name].std`` becomes the standard
-            deviation of ``params[name].grad``, in its shape; ``params.zero_grad()`` sets both to zero. The gradient is
-            the mean of eight of ``spp`` / 8 samples each, so that bars have seven degrees of freedom (95 %: 2.4 times).
+            deviation of ``params[name].grad``, in its shape; ``params.zero_grad()`` sets both to zero, and a gradient
+            without ``errors`` that is added takes it away. The gradient is the mean of eight of ``spp`` / 8 samples
+            each, so that bars have seven degrees of freedom (95 %: 2.4 times).
 
     Returns:
         What a budget bought; None without one.
 
     Raises:
         ValueError: nothing is requested, options that exclude each other, a wrong adjoint, an option out of range,
-            or a moving discontinuity that the method of the boundary term does not cover.
+            a gradient without error bars that ``errors`` would add to, or a moving discontinuity that the method of the
+            boundary term does not cover.
     """
     from warp_psdr.accuracy import budget
     from warp_psdr.accuracy import views as quantities

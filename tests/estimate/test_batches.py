@@ -61,6 +61,13 @@ def test_gradients_that_add_up_have_bars_that_do(box):
         psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=16, seed=seed, errors=True)
     np.testing.assert_allclose(params[name].grad.numpy(), one[0] + again[0], rtol=1e-5)
     np.testing.assert_allclose(params[name].std.numpy(), np.hypot(first[0], second[0]), rtol=1e-5)
+    # What is added without bars leaves none that would hold.
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=16, seed=3)
+    assert not hasattr(params[name], "std")
+    with pytest.raises(ValueError, match="gradient without error bars; call params"):
+        psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=16, seed=4, errors=True)
+    params.zero_grad()
+    psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=16, seed=4, errors=True)
     params.requires_grad_only()
     assert not hasattr(params[name], "std")
 

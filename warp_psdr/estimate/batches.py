@@ -16,6 +16,7 @@ from warp_psdr.estimate.arguments import sample_count
 from warp_psdr.estimate.gradient_sums import add_to_gradient
 from warp_psdr.estimate.passes import Progress, part
 from warp_psdr.estimate.views import count_of_views
+from warp_psdr.kernels.rng import mix_seed
 
 if TYPE_CHECKING:
     from warp_psdr.scene.description import Views
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 #: Independent gradients. Their standard deviation has seven degrees of freedom.
 BATCHES = 8
+#: Stream of their random numbers: none is that of a gradient of a neighbouring seed.
+STREAM_BARS = 0x62617273
 
 #: Adds a gradient to arrays, by name: (arrays, samples a pixel, seed, progress).
 Add = Callable[[dict[str, wp.array], int, int, Progress | None], None]
@@ -46,12 +49,23 @@ def count_in_batches(scene: Scene, views: Views, spp: int | None) -> int:
 def add_in_batches(
     params: Parameters, names: Sequence[str], add: Add, spp: int, seed: int, progress: Progress | None
 ) -> None:
-    """Add a gradient to ``params[name].grad``, and its variance to the square of ``params[name].std``."""
+    """Add a gradient to ``params[name].grad``, and its variance to the square of ``params[name].std``.
+
+    Raises:
+        ValueError: a gradient without error bars is there already.
+    """
+    for name in names:
+        if not hasattr(params[name], "std") and params[name].grad.numpy().any():
+            raise ValueError(f"errors=True: {name!r} has a gradient without error bars; call params.zero_grad() first")
     held = {n: wp.zeros(params[n].shape, params[n].dtype, params[n].device, requires_grad=True) for n in names}
     mean, squares = ({n: np.zeros(held[n].grad.numpy().shape) for n in names} for _ in range(2))
     for batch in range(BATCHES):
-        own = int(np.random.SeedSequence([seed, batch]).generate_state(1)[0] >> 1)
-        add(held, spp // BATCHES, own, part(progress, batch / BATCHES, 1.0 / BATCHES))
+        add(
+            held,
+            spp // BATCHES,
+            mix_seed(mix_seed(seed, STREAM_BARS), batch),
+            part(progress, batch / BATCHES, 1.0 / BATCHES),
+        )
         for name, array in held.items():  # Welford's sums
             found = array.grad.numpy().astype(np.float64)
             apart = found - mean[name]
@@ -60,10 +74,11 @@ def add_in_batches(
             array.grad.zero_()
     for name in names:
         array = params[name]
+        before = getattr(array, "std", None)
         total = wp.array(mean[name].ravel().astype(np.float32), dtype=wp.float32, device=array.device)
         add_to_gradient(array, total, 0)
         variance = squares[name] / (BATCHES * (BATCHES - 1))
-        if (before := getattr(array, "std", None)) is not None:
+        if before is not None:
             variance += before.numpy().astype(np.float64) ** 2
         array.std = wp.array(  # type: ignore[attr-defined]
             np.sqrt(variance).astype(np.float32), dtype=array.dtype, device=array.device

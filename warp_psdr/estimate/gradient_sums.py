@@ -99,7 +99,11 @@ class GradientSums:
 
 
 def add_to_gradient(array: wp.array, total: wp.array, offset: int) -> None:
-    """Add a stretch of flat values, float32, to the gradient of the array that holds a parameter."""
+    """Add a stretch of flat values, float32, to the gradient of the array that holds a parameter.
+
+    The gradient's standard deviation (``batches.py``), if it was told, is not known any more.
+    """
+    vars(array).pop("std", None)
     grad = array.grad
     size = grad.size * wp.types.type_size(grad.dtype)
     flat = wp.array(ptr=grad.ptr, dtype=wp.float32, shape=(size,), device=grad.device, copy=False)
