@@ -68,11 +68,9 @@ class Lens:
     def sensor(self, to_camera: np.ndarray) -> dict:
         """Return the sensor of a reduced photograph; ``to_camera``: (4, 4) of the world's points, OpenCV's axes."""
         f, x, y, *bends = self.numbers
-        matrix = np.diag([f / REDUCE, f / REDUCE, 1.0])
-        matrix[:2, 2] = (np.array([x, y]) + 0.5) / REDUCE - 0.5
-        size = (WIDTH // REDUCE, HEIGHT // REDUCE)
-        sensor = psdr.cameras.from_opencv(matrix, to_camera[:3, :3], to_camera[:3, 3], size, bends)
-        sensor["film"] |= {"rfilter": {"type": "box"}}
+        matrix = [[f, 0.0, x], [0.0, f, y], [0.0, 0.0, 1.0]]
+        sensor = psdr.cameras.from_opencv(matrix, to_camera[:3, :3], to_camera[:3, 3], (WIDTH, HEIGHT), bends)
+        sensor["film"] |= {"width": WIDTH // REDUCE, "height": HEIGHT // REDUCE}
         return sensor
 
     def directions(self) -> np.ndarray:

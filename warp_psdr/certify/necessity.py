@@ -40,12 +40,11 @@ def effects(e: Examination, budget: float) -> list[Effect]:
     for option, other, shortens in _without(subject):
         if shortens and lost > LOSES:
             break
-        e.compile(e.derivatives(other))
-        if 2.0 * LEAST * e.base.cost > left:
-            e.notes.append(
-                f"{option} is not tried: its batches take {2.0 * LEAST * e.base.cost:.2g} s, raise the budget"
-            )
+        least = 2.0 * LEAST * e.base.cost
+        if least > left:
+            e.notes.append(f"{option} is not tried: its batches take {least:.2g} s, raise the budget")
             continue
+        e.compile(e.derivatives(other))
         begun = time.perf_counter()
         compared = _compared(e, option, subject, other)
         if shortens:

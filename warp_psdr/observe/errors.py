@@ -23,7 +23,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import stats
 
-from warp_psdr.observe.problem import Problem, Side, normal_equations
+from warp_psdr.observe.problem import Normal, Problem, Side, normal_equations
 from warp_psdr.observe.solution import Errors, Solution, Step, that_matter
 
 #: Edges of blocks, pixels; least number of blocks along an image's shorter side; least share of what is known that is
@@ -35,9 +35,9 @@ PHOTOGRAPHS = 4
 UNLIKE = 0.7
 
 
-def estimated(problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarray]) -> Errors:
-    """Return the errors of a problem's present values, from two looks."""
-    inverse, undetermined = normal_equations(a, b, robust, problem.size).inverse(problem.labels)
+def estimated(problem: Problem, normal: Normal, a: list[Side], b: list[Side], robust: list[np.ndarray]) -> Errors:
+    """Return the errors of a problem's values, from two looks there and their normal equations."""
+    inverse, undetermined = normal.inverse(problem.labels)
     sampling, maps = np.zeros_like(inverse), []
     for one, other, w in zip(a, b, robust, strict=True):
         mean, apart = 0.5 * (one.residual + other.residual), 0.5 * (one.residual - other.residual)
@@ -63,10 +63,10 @@ def _shift(problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarr
     """Return how far the values would go if what a photograph may have were unknown, too: one Gauss-Newton step."""
     more, size = [], problem.size
     for (_sensor, photograph), one, other in zip(problem.views, a, b, strict=True):
-        count = len(photograph.doubts(one.image))
-        added = np.arange(size, size + count)
-        size += count
-        more.append([_extended(side, added, photograph.doubts(side.image)) for side in (one, other)])
+        doubts = [photograph.doubts(side.image) for side in (one, other)]
+        added = np.arange(size, size + len(doubts[0]))
+        size += len(added)
+        more.append([_extended(side, added, own) for side, own in zip((one, other), doubts, strict=True)])
     both = [list(sides) for sides in zip(*more, strict=True)]
     whole = normal_equations(both[0], both[1], robust, size)
     return whole.step(0.0)[: problem.size]
@@ -82,7 +82,7 @@ def solution(
     problem: Problem, a: list[Side], b: list[Side], robust: list[np.ndarray], steps: list[Step], reason: str, bars: bool
 ) -> Solution:
     """Return values from two looks at the end, with their errors if ``bars``; warn where they are not to be trusted."""
-    found = estimated(problem, a, b, robust) if bars else None
+    found = estimated(problem, normal_equations(a, b, robust, problem.size), a, b, robust) if bars else None
     rms, unlike = _residual(problem, a, b)
     unknowns = tuple(problem.unknowns)
     solved = Solution(tuple(problem.labels), problem.values(), found, rms, tuple(steps), reason, unknowns)
@@ -139,11 +139,8 @@ def _widest(
     bars = deviations * stats.t.ppf(0.975, [freedom for _covariance, freedom in found])[:, None]
     own = bars.argmax(axis=0)
     at = int(np.argmax((bars / np.maximum(bars.max(axis=0), 1e-300)).sum(axis=1)))
-    covariance, grown = (
-        found[at][0],
-        np.take_along_axis(deviations, own[None], 0)[0] / np.maximum(deviations[at], 1e-300),
-    )
-    return covariance * np.outer(grown, grown), np.array([found[i][1] for i in own]), sizes[at]
+    grown = deviations[own, np.arange(len(own))] / np.maximum(deviations[at], 1e-300)
+    return found[at][0] * np.outer(grown, grown), np.array([found[i][1] for i in own]), sizes[at]
 
 
 def _of_blocks(

@@ -138,9 +138,13 @@ class Problem:
             first += n
         self.params.update()
 
+    def _options(self, spp: int, seed: int) -> dict[str, Any]:
+        """Return the options of a call that renders."""
+        return {"integrator": self._integrator, "spp": spp, "seed": seed}
+
     def images(self, seed: int, spp: int) -> list[np.ndarray]:
         """Render all views."""
-        options: dict[str, Any] = {"integrator": self._integrator, "spp": IMAGE_SHARE * spp, "seed": seed}
+        options = self._options(IMAGE_SHARE * spp, seed)
         return [render(self.scene, sensor=s, **options).numpy().astype(float) for s, _photograph in self.views]
 
     def residuals(self, seed: int, spp: int) -> list[np.ndarray]:
@@ -150,7 +154,7 @@ class Problem:
     def sides(self, seed: int, spp: int, *, each: bool = True) -> list[Side]:
         """Return residuals and derivatives of all views; by the scene's numbers only if ``each``."""
         tangents = [row for u in self.unknowns for row in u.tangents(self.params)] if each else []
-        options: dict[str, Any] = {"integrator": self._integrator, "spp": spp, "seed": seed}
+        options = self._options(spp, seed)
         found = []
         for (sensor, photograph), image in zip(self.views, self.images(seed, spp), strict=True):
             numbers, columns = [], []
@@ -182,7 +186,7 @@ class Problem:
             moved = np.einsum("k,khwc->hwc", direction[side.numbers], side.columns)
             row = self._seen(total, sensor)
             if row:
-                options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
+                options = self._options(side.spp, side.seed)
                 image = render_forward(self.scene, self.params, row, sensor=sensor, **options).numpy()
                 moved += photograph.pushed(side.image, image)
             found.append(moved)
@@ -197,7 +201,7 @@ class Problem:
         for (sensor, photograph), side, image in zip(self.views, look, images, strict=True):
             if names:
                 adjoint = photograph.pulled(side.image, image).astype(np.float32)
-                options: dict[str, Any] = {"integrator": self._integrator, "spp": side.spp, "seed": side.seed}
+                options = self._options(side.spp, side.seed)
                 render_backward(self.scene, params, adjoint, sensor=sensor, **options)
             found[side.numbers] += np.einsum("hwc,khwc->k", image, side.columns)
         gradients = {name: params[name].grad.numpy() for name in names}

@@ -20,7 +20,7 @@ import numpy as np
 from warp_psdr.observe import errors
 from warp_psdr.observe.krylov import Products
 from warp_psdr.observe.problem import MOST as MOST_DENSE
-from warp_psdr.observe.problem import Problem, Side, normal_equations
+from warp_psdr.observe.problem import Normal, Problem, Side, normal_equations
 from warp_psdr.observe.solution import TAKEN, Solution, Step
 
 if TYPE_CHECKING:
@@ -137,8 +137,9 @@ def solve(
             if far:
                 far = False
                 continue
-            enough = dense and errors.estimated(problem, a, b, robust).noisiest <= ENOUGH
-            if finer >= FINEST or enough:
+            if finer >= FINEST or (
+                isinstance(equations, Normal) and errors.estimated(problem, equations, a, b, robust).noisiest <= ENOUGH
+            ):
                 reason = "no step lessens the residual" if stuck and not below else "the step is below its own error"
                 reason = reason if below or stuck else "the residual is settled"
                 break

@@ -78,7 +78,7 @@ def pushed(unknowns: Sequence[Unknowns], params: Parameters, direction: np.ndarr
     total: dict[str, np.ndarray] = {}
     first = 0
     for u in unknowns:
-        last = first + len(u.values(params))
+        last = first + len(u.labels)
         for name, velocity in u.push(params, direction[first:last]).items():
             total[name] = total.get(name, np.float32(0.0)) + velocity
         first = last
