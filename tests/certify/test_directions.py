@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import warp as wp
 
+from warp_psdr.certify.adjoints import random_adjoints
 from warp_psdr.certify.directions import (
     CENTRAL,
     OF_SIZE,
@@ -13,7 +14,6 @@ from warp_psdr.certify.directions import (
     RADIANS,
     TURNING,
     directions_of,
-    random_adjoints,
 )
 from warp_psdr.certify.slope import LADDER, chosen, extrapolated
 from warp_psdr.scene.layout import MATERIAL, POSITIONS, SHAPE_POSE, Parameter

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from warp_psdr.certify.adjoints import random_adjoints
 from warp_psdr.certify.certificate import Certificate
-from warp_psdr.certify.directions import Direction, directions_of, random_adjoints
+from warp_psdr.certify.directions import Direction, directions_of
 from warp_psdr.certify.issue import NAMES, Request, issue
 from warp_psdr.certify.subject import SceneSubject, adjoints_of, untouched
 from warp_psdr.estimate.arguments import flat_tangents, requested
@@ -50,8 +51,8 @@ def certify(
     Args:
         scene: a loaded scene.
         params: its parameters, after ``requires_grad``.
-        adjoint: derivative of a loss with respect to the image, (H, W, 3), whose gradient is examined. None: three
-            smooth random ones.
+        adjoint: derivative of a loss with respect to the image, (H, W, 3), whose gradient is examined. None: a smooth
+            one that sees much of all derivatives and little noise, as a pilot tells.
         integrator: as of ``render``; default: what the scene file names. Methods that are left to the plan are those of
             a first gradient.
         sensor: which camera, by its number or its id.
@@ -93,6 +94,7 @@ def certify(
             lambda name, mean, deviation: _directions(subject, name, mean, deviation, request.seed),
             request,
             progress,
+            adjoint is None,
             lambda: _dropped(ledger.snapshot()),
         )
 

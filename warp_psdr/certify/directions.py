@@ -1,4 +1,4 @@
-"""Directions along which derivatives are compared, the length of steps along them, and smooth random adjoints.
+"""Directions along which derivatives are compared, and the length of steps along them.
 
 A direction's largest entry is a *unit*: the longest step of a difference. For what moves, the unit is two pixels at
 the scene's distance, or a fifth of the shape's size where that is less; for all else a tenth of the values.
@@ -15,8 +15,6 @@ from scipy.spatial import cKDTree
 
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, POSITIONS, SHAPE_POSE, Parameter
 
-#: Random adjoints, and the most half-waves of one across the image.
-ADJOINTS, HALF_WAVES = 3, 3
 #: Unit of values over the largest of them, and over the width of their range where all are zero.
 OF_VALUES = 0.1
 #: Unit of what moves: pixels, and share of the size of what moves.
@@ -27,7 +25,7 @@ TURNING = 0.2
 #: An entry that stands out by more standard errors than these is told well enough.
 ENOUGH = 10.0
 #: Unit of a turn where nothing says how far away things are [radians].
-TURN = 0.05
+TURN = 0.2
 #: Waves of a random field, and their most radians across it.
 WAVES, RADIANS = 4, 4.0
 #: A pilot's pull on a whole shape is followed if it is so many of its deviations long; the share of a random vector
@@ -61,21 +59,6 @@ class Direction:
     def along(self, gradient: np.ndarray) -> np.ndarray:
         """Return (K,): derivatives along the direction of gradients (K, *shape)."""
         return (gradient * self.tangent).reshape(len(gradient), -1).sum(axis=1)
-
-
-def random_adjoints(shape: tuple[int, int], seed: int, count: int = ADJOINTS) -> np.ndarray:
-    """Return smooth random adjoints (K, H, W, 3), float32, of mean square one."""
-    random = np.random.default_rng((seed, 1))
-    y, x = ((np.arange(n) + 0.5) / n for n in shape)
-    waves = range(HALF_WAVES)
-    rows, columns = (np.stack([np.cos(np.pi * i * z) for i in waves]) for z in (y, x))
-    falling = np.array([[1.0 / (1.0 + i + j) for j in waves] for i in waves])
-    found = []
-    for _ in range(count):
-        weights = random.normal(size=(3, len(waves), len(waves))) * falling
-        image = np.einsum("cij,ih,jw->hwc", weights, rows, columns)
-        found.append(image / np.sqrt((image**2).mean()))
-    return np.stack(found).astype(np.float32)
 
 
 def directions_of(

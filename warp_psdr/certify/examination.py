@@ -22,7 +22,7 @@ class Examination:
 
     Attributes:
         subject: what is examined.
-        adjoints: (K, H, W, 3).
+        adjoints: (K, H, W, 3); one from ``watch`` on.
         directions: of all parameters.
         seed: of everything random.
         tolerance: of slopes.
@@ -64,6 +64,12 @@ class Examination:
         """Examine these directions."""
         self.directions = directions
         self.base.pilot = [self._along(gradients) for gradients in pilot] if directions else []
+
+    def watch(self, adjoints: np.ndarray) -> None:
+        """Examine the same directions with other adjoints."""
+        self.adjoints = adjoints
+        self.base.seconds, self.base.calls = 0.0, 0
+        self.take(self.directions, self.pilot())
 
     def stream(self, name: str, number: int) -> int:
         """Return the seed of a stream of random numbers."""

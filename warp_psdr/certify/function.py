@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from warp_psdr.certify import slope
+from warp_psdr.certify.adjoints import random_adjoints
 from warp_psdr.certify.certificate import Certificate
-from warp_psdr.certify.directions import Direction, directions_of_numbers, random_adjoints
+from warp_psdr.certify.directions import Direction, directions_of_numbers
 from warp_psdr.certify.issue import Request, issue
 from warp_psdr.kernels.rng import mix_seed
 
@@ -116,4 +117,4 @@ def certify_function(
         unit = (units or {}).get(name)
         return directions_of_numbers(name, values[name], mean, deviation, range_of, unit, seed), []
 
-    return issue(subject, adjoints, directions, request, progress)
+    return issue(subject, adjoints, directions, request, progress, adjoint is None)

@@ -42,24 +42,35 @@ def rows(e: Examination) -> list[Row]:
     if not e.affords(both, NAME):
         return []
     both.try_out()
-    exact = Sampler(lambda seed: np.ones(1), e.stream(NAME, 1))
-    exact.try_out()
-    scales = np.abs(np.stack(both.pilot)).mean(axis=(0, 2))
     return [
-        Row(
-            check=NAME,
-            parameter=d.parameter,
-            what=WHAT,
-            a=both,
-            b=exact,
-            of_a=_ratios(i, scale),
-            of_b=lambda values: (values[:, 0], np.zeros(len(values))),
-        )
-        for i, (d, scale) in enumerate(zip(chosen, scales.tolist(), strict=True))
-        if scale > 0.0
+        compared_with_one(e, NAME, d.parameter, WHAT, both, ratios(scale, i, 0, 1))
+        for i, d in enumerate(chosen)
+        if (scale := size_of_sides(both, i, 0, 1)) > 0.0
     ]
 
 
-def _ratios(number: int, scale: float) -> Callable[[np.ndarray], np.ndarray]:
-    """Return batches (n, directions, 2) -> 1 plus the differences of a direction's pairs over their size, (n,)."""
-    return lambda values: np.asarray(1.0 + (values[:, number, 1] - values[:, number, 0]) / scale)
+def compared_with_one(
+    e: Examination, check: str, parameter: str, what: str, sampler: Sampler, of_a: Callable[[np.ndarray], np.ndarray]
+) -> Row:
+    """Return a row that compares what batches of a sampler say with 1."""
+    exact = Sampler(lambda seed: np.ones(1), e.stream(check, 1))
+    exact.try_out()
+    return Row(
+        check=check,
+        parameter=parameter,
+        what=what,
+        a=sampler,
+        b=exact,
+        of_a=of_a,
+        of_b=lambda values: (values[:, 0], np.zeros(len(values))),
+    )
+
+
+def size_of_sides(sampler: Sampler, number: int, one: int, other: int) -> float:
+    """Return the mean size of two sides of a direction in a pilot (n, directions, sides)."""
+    return float(np.abs(np.stack(sampler.pilot)[:, number, [one, other]]).mean())
+
+
+def ratios(scale: float, number: int, one: int, other: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Return batches (n, directions, sides) -> 1 plus the difference of a direction's sides over a size, (n,)."""
+    return lambda values: np.asarray(1.0 + (values[:, number, other] - values[:, number, one]) / scale)

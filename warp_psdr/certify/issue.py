@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from warp_psdr.accuracy.report import positive
-from warp_psdr.certify import estimators, identities, necessity, price, slope
+from warp_psdr.certify import estimators, identities, necessity, precision, price, slope
+from warp_psdr.certify.adjoints import telling_adjoint
 from warp_psdr.certify.certificate import BIASED, NOT_SEEN, UNDECIDED, WITHIN, Certificate, Finding
 from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.examination import Examination
@@ -22,6 +23,7 @@ from warp_psdr.estimate.arguments import checked_seed
 CHECKS: dict[str, Callable[[Examination], list[Row]]] = {
     slope.NAME: slope.rows,
     identities.NAME: identities.rows,
+    precision.NAME: precision.rows,
     estimators.NAME: estimators.rows,
 }
 #: Names of all checks.
@@ -72,6 +74,7 @@ def issue(
     directions: Directions,
     request: Request,
     progress: Callable[[float], None] | None,
+    chooses: bool,
     afterwards: Callable[[], list[str]] = list,
 ) -> Certificate:
     """Examine a subject.
@@ -82,10 +85,13 @@ def issue(
         directions: of a parameter.
         request: what is asked.
         progress: called with the finished fraction.
+        chooses: whether an adjoint that a pilot chooses takes the place of ``adjoints`` once there are directions.
         afterwards: what else there is to say when all is done.
     """
     start = time.perf_counter()
     e = _prepared(subject, adjoints, directions, request)
+    if chooses and e.directions:
+        e.watch(telling_adjoint(e))
     rows = [row for name in request.checks if name in CHECKS for row in CHECKS[name](e)] if e.directions else []
     effects = necessity.effects(e, request.budget) if necessity.NAME in request.checks else []
     start += e.compiling

@@ -75,24 +75,24 @@ def rows(e: Examination) -> list[Row]:
 
 def quotients(e: Examination, direction: Direction, steps: tuple[float, ...]) -> Callable[[int], np.ndarray]:
     """Return seed -> quotients of differences (steps, K), all images from one seed."""
+    return lambda seed: np.einsum("khwc,shwc->sk", e.adjoints, difference_images(e, direction, steps, seed))
+
+
+def difference_images(e: Examination, direction: Direction, steps: tuple[float, ...], seed: int) -> np.ndarray:
+    """Return quotients of differences of images (steps, H, W, 3), all of them from one seed."""
     base = e.subject.values[direction.parameter]
-
-    def draw(seed: int) -> np.ndarray:
-        images: dict[float, np.ndarray] = {}
-        found = []
-        for step in steps:
-            total = np.zeros(len(e.adjoints))
-            for at, weight in direction.stencil:
-                place = at * step
-                if place not in images:
-                    moved = {} if place == 0.0 else {direction.parameter: base + place * direction.tangent}
-                    image = e.subject.image(moved, seed)
-                    images[place] = np.einsum("khwc,hwc->k", e.adjoints, image, dtype=np.float64)
-                total = total + weight * images[place]
-            found.append(total / step)
-        return np.stack(found)
-
-    return draw
+    images: dict[float, np.ndarray] = {}
+    found = []
+    for step in steps:
+        total = np.zeros((*e.subject.shape, 3))
+        for at, weight in direction.stencil:
+            place = at * step
+            if place not in images:
+                moved = {} if place == 0.0 else {direction.parameter: base + place * direction.tangent}
+                images[place] = e.subject.image(moved, seed)
+            total = total + weight * images[place]
+        found.append(total / step)
+    return np.stack(found)
 
 
 def _of_pairs(weights: np.ndarray) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:

@@ -115,12 +115,18 @@ class SceneSubject:
 
     def image(self, moved: Mapping[str, np.ndarray], seed: int) -> np.ndarray:
         """Return the image at other values of some parameters."""
-        try:
-            for name, values in moved.items():
-                self.params[name] = values
-            self.params.update(*moved)
+        with self.moved(moved):
             options: dict[str, Any] = {"integrator": self.integrator, "sensor": self.sensor}
             return render(self.scene, spp=self.spp[0], seed=seed, **options).numpy().astype(np.float64)
+
+    @contextlib.contextmanager
+    def moved(self, values: Mapping[str, np.ndarray]) -> Iterator[None]:
+        """Let some parameters have other values meanwhile."""
+        try:
+            for name, value in values.items():
+                self.params[name] = value
+            self.params.update(*values)
+            yield
         finally:
             self.scene.restore(self.state)
 
