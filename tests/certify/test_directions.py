@@ -1,10 +1,9 @@
-"""Directions and adjoints: sizes of steps, ranges of values, what is smooth, and the step that a pilot chooses."""
+"""Directions: sizes of steps, ranges of values, what is smooth, and the step that a pilot chooses."""
 
 import numpy as np
 import pytest
 import warp as wp
 
-from warp_psdr.certify.adjoints import random_adjoints
 from warp_psdr.certify.directions import (
     CENTRAL,
     OF_SIZE,
@@ -110,10 +109,3 @@ def test_a_step_that_shorter_ones_contradict_is_not_taken() -> None:
     # Beyond a kink at h = 0.1 quotients settle at another value: two long steps agree, and are both wrong.
     kinked, *_rest = chosen(pilot(lambda h: 1.0 - 0.4 * np.clip(1.0 - 0.1 / h, 0.0, None), 0.002), 0.02)
     assert LADDER[kinked - 1] <= 0.125
-
-
-def test_random_adjoints_are_smooth_and_of_size_one() -> None:
-    found = random_adjoints((24, 32), 0)
-    assert found.shape == (3, 24, 32, 3) and found.dtype == np.float32
-    np.testing.assert_allclose((found**2).mean(axis=(1, 2, 3)), 1.0, rtol=1e-5)
-    assert np.abs(np.diff(found, axis=1)).max() < 0.6 and not np.array_equal(found, random_adjoints((24, 32), 1))

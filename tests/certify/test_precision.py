@@ -97,5 +97,5 @@ def test_shapes_without_lengths_among_their_parameters_are_named() -> None:
     grid = {"type": "sdfgrid", "grid": SPHERE, "bsdf": diffuse(0.5)}
     camera = SCENES["an orthographic camera"]["camera"] | {"film": film()}
     scene = psdr.load_dict({"type": "scene", "camera": camera, "blob": grid, **lights("constant")})
-    with pytest.raises(NotScaled, match="'blob.grid' belongs to a shape without triangles"):
+    with pytest.raises(NotScaled, match=r"'blob\.grid' belongs to a shape without triangles"):
         precision.scaling(scene, 10.0)

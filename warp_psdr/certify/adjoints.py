@@ -81,7 +81,7 @@ def telling_adjoint(e: Examination) -> np.ndarray:
     seen = [found for number in range(len(e.directions)) if np.any((found := _seen(e, number)).adjoint)]
     if not seen:
         return e.adjoints[:1]
-    adjoint = np.einsum("d,dhwc->hwc", _factors(seen), np.stack([s.adjoint for s in seen]))
+    adjoint = np.einsum("d,dhwc->hwc", factors(seen), np.stack([s.adjoint for s in seen]))
     return (adjoint / np.sqrt((adjoint**2).mean()))[None].astype(np.float32)
 
 
@@ -110,7 +110,7 @@ def _seen(e: Examination, number: int) -> Seen:
     )
 
 
-def _factors(seen: list[Seen]) -> np.ndarray:
+def factors(seen: list[Seen]) -> np.ndarray:
     """Return the factors of directions' adjoints by which a certificate takes least time.
 
     Every direction takes batches of differences, and all of them share those of the method that is examined.
