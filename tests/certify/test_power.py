@@ -1,10 +1,13 @@
 """Planted defects in gradients of a soft shadow and a silhouette are found, and right ones raise no alarm."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import warp_psdr as psdr
 from tests.boundary.scenes import load
+from tests.pool.children import LONGEST, program
 from warp_psdr.certify import subject as subjects
 from warp_psdr.certify.certificate import BIASED
 from warp_psdr.estimate.boundary import terms
@@ -102,3 +105,11 @@ def test_a_geometry_term_that_is_detached(monkeypatch: pytest.MonkeyPatch) -> No
     params.requires_grad_only("light.vertex_positions")
     options = {"integrator": psdr.PathIntegrator(max_depth=2), "budget": BUDGET, "checks": "slope"}
     assert psdr.certify(loaded, params, **options).ok is False
+
+
+@pytest.mark.parametrize("defect", ["bsdf", "weight", "light"])
+def test_a_defect_in_a_kernel(tmp_path: Path, defect: str) -> None:
+    output = tmp_path / "output"
+    with program(output, "tests.certify.planted", defect) as process:
+        assert process.wait(LONGEST) == 0, output.read_text()
+    assert output.read_text().splitlines()[-1] == "False"

@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -29,13 +30,13 @@ def wait_until(done: Callable[[], object], what: str) -> None:
 
 
 def below(ancestor: int | None = None) -> set[int]:
-    """Return the living processes below one, this one's by default."""
+    """Return the living processes below one, this one's by default; Python's own tracker of resources is none."""
     parents = {int(p.name): _stat(p) for p in Path("/proc").iterdir() if p.name.isdigit()}
     found, size = {os.getpid() if ancestor is None else ancestor}, 0
     while len(found) > size:
         size = len(found)
         found |= {pid for pid, (state, parent, _session) in parents.items() if parent in found and state not in "ZX"}
-    return found - {os.getpid() if ancestor is None else ancestor}
+    return found - {os.getpid() if ancestor is None else ancestor, resource_tracker._resource_tracker._pid}
 
 
 def of_session(session: int) -> set[int]:
