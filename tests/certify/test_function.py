@@ -39,6 +39,17 @@ def test_right_gradients() -> None:
     assert certificate.ok is None  # a parameter that no pixel depends on is not right
 
 
+def test_images_without_noise() -> None:
+    def exact(values, seed):
+        return 1e6 * np.einsum("i,ihwc->hwc", np.sin(values["heights"]), BASIS)
+
+    def of_exact(values, adjoint, seed):
+        return {"heights": 1e6 * np.cos(values["heights"]) * np.einsum("hwc,ihwc->i", adjoint, BASIS)}
+
+    heights = {"heights": VALUES["heights"]}
+    assert psdr.certify_function(exact, of_exact, heights, budget=BUDGET).ok is True
+
+
 def test_a_wrong_gradient() -> None:
     def wrong(values, adjoint, seed):
         return gradient(values, adjoint, seed, factor=1.05)

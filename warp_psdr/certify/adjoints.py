@@ -68,7 +68,8 @@ class Seen:
     def adjoint(self) -> np.ndarray:
         """The adjoint that is best for this direction alone, of <adjoint, signal> = 1; zeros where nothing is seen."""
         noise = self.differences + self.derivative
-        weighted = self.signal / np.maximum(noise + LEAST_VARIANCE * noise.mean(), 1e-300)
+        mean = float(noise.mean())
+        weighted = self.signal / (noise / mean + LEAST_VARIANCE) if mean > 0.0 else self.signal
         size = float((weighted * self.signal).sum())
         return weighted / size if size > 0.0 else np.zeros_like(weighted)
 
@@ -100,14 +101,11 @@ def _seen(e: Examination, number: int) -> Seen:
     subject = e.scene_subject
     if subject is None:
         return Seen(smoothed(signal), differences, np.zeros_like(differences))
-    draw = [
-        subject.derivative(direction.parameter, direction.tangent, mix_seed(stream, PILOT + i)) for i in range(PILOT)
-    ]
-    images = np.stack(draw)
+    derivative = partial(subject.derivative, direction.parameter, direction.tangent)
+    images = np.stack([derivative(mix_seed(stream, PILOT + i)) for i in range(PILOT)])
     seconds = e.base.cost / len(e.adjoints)
-    return Seen(
-        smoothed(0.5 * (signal + images.mean(axis=0))), differences, seconds * smoothed(images.var(axis=0, ddof=1))
-    )
+    signal = 0.5 * (signal + images.mean(axis=0))
+    return Seen(smoothed(signal), differences, seconds * smoothed(images.var(axis=0, ddof=1)))
 
 
 def factors(seen: list[Seen]) -> np.ndarray:
@@ -125,7 +123,7 @@ def factors(seen: list[Seen]) -> np.ndarray:
     def seconds(factors: np.ndarray) -> float:
         sizes = np.maximum((signals @ factors) ** 2, 1e-30)
         differences, derivative = (np.einsum("def,e,f->d", of_side, factors, factors) / sizes for of_side in noise)
-        return math.log(differences.sum() + derivative.max())
+        return math.log(max(differences.sum() + derivative.max(), 1e-300))
 
     tried = np.random.default_rng(0).choice([-1.0, 1.0], (TRIED, len(seen)))
     best = sorted(tried, key=seconds)[:IMPROVED]
