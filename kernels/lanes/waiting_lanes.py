@@ -28,6 +28,11 @@ _APPEND = (
     const u32 mask = Simd::mask(*(const int_row*)((const int*)rows.data + waits * $W) != 0);
     typedef int any_word __attribute__((may_alias));
     any_word* to = (any_word*)rows.data + $FIRST * $W + length;
+    int order[$W] __attribute__((aligned(64))) = {};  // their numbers
+    int n = 0;
+    for (u32 rest = mask; rest; rest &= rest - 1)
+        order[n++] = __builtin_ctz(rest);
+    const vi lanes = *(const vi*)order;
     const int spans[][2] = {$SPANS};
     for (const auto& span : spans)
         for (int i = 0; i < span[1]; ++i, to += $ROOM) {
@@ -35,13 +40,14 @@ _APPEND = (
 #if $W == 16 && defined(__AVX512F__)
             const vi word = *from;
             *(int_row*)to = __builtin_ia32_compresssi512_mask(word, vi(0), mask);
+#elif $W == 8 && defined(__AVX2__)
+            *(int_row*)to = __builtin_ia32_permvarsi256(*from, lanes);
 #else
             const vi word = *from;
             int words[$W];
             *(int_row*)words = word;
-            int n = 0;
-            for (u32 rest = mask; rest; rest &= rest - 1)
-                to[n++] = words[__builtin_ctz(rest)];
+            for (int k = 0; k < $W; ++k)
+                to[k] = words[order[k]];
 #endif
         }
     return length + __builtin_popcount(mask);
