@@ -19,7 +19,7 @@ from warp_psdr.scene.kinds.table import KINDS
 ROOT = Path(__file__).resolve().parents[1]
 #: What device code may import besides its own package.
 DEVICE_IMPORTS = {"__future__", "collections", "ctypes", "dataclasses", "functools", "math", "typing", "warp"}
-DEVICE_IMPORTS |= {"hashlib", "inspect", "linecache"}  # for functions whose text is made (kernels/generated.py)
+DEVICE_IMPORTS |= {"hashlib", "inspect", "linecache", "platform"}  # for made functions, and compiler flags
 MAX_LINES = 500
 #: What names a kind of shapes without triangles: on the device its record, on the host its class, its name and lists.
 NAMES_OF_KINDS = {
