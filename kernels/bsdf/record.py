@@ -11,7 +11,8 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, TEXTURE, Value
-from warp_psdr.kernels.generated import make_generated, make_select, make_struct
+from warp_psdr.kernels.generated import make_generated, make_struct
+from warp_psdr.kernels.math import where3
 
 #: Longest name of a struct.
 MAX_NAME = 200
@@ -90,12 +91,10 @@ class MaterialAlgebra(NamedTuple):
     Attributes:
         add: ``(a, b) -> material``.
         dot: ``(a, b) -> float32``: the sum of the products of all members.
-        select: ``(condition, a, b) -> material``, member by member.
     """
 
     add: wp.Function
     dot: wp.Function
-    select: wp.Function
 
 
 @functools.cache
@@ -112,5 +111,16 @@ def make_material_algebra(material: type) -> MaterialAlgebra:
     return MaterialAlgebra(
         make_generated(add, material=material),
         make_generated(dot, material=material),
-        make_select(material),
     )
+
+
+@functools.cache
+def make_add_where(material: type, names: tuple[str, ...]) -> wp.Function:
+    """Return ``(condition, a, b) -> material``: ``a``, plus the members ``names`` of ``b`` if the condition holds."""
+    lines = ["def add_where(condition: wp.bool, a: material, b: material) -> material:", "    m = a"]
+    for name in names:
+        if material.vars[name].type is wp.vec3:
+            lines.append(f"    m.{name} = a.{name} + where3(condition, b.{name}, wp.vec3(0.0, 0.0, 0.0))")
+        elif material.vars[name].type is wp.float32:
+            lines.append(f"    m.{name} = a.{name} + wp.where(condition, b.{name}, 0.0)")
+    return make_generated("\n".join([*lines, "    return m", ""]), material=material, where3=where3)

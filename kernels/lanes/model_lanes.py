@@ -11,8 +11,9 @@ from typing import NamedTuple
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import make_eval_vjp
+from warp_psdr.kernels.bsdf.dispatch import declaration_of, make_eval_vjp
 from warp_psdr.kernels.bsdf.model import Functions
+from warp_psdr.kernels.bsdf.record import make_add_where
 from warp_psdr.kernels.generated import make_generated, make_select
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.invalid import vanishes
@@ -177,10 +178,12 @@ def make_adjoints_of_each(
         adjoints: the record of material values that they are added to.
     """
     bsdf = make_interaction(surfaces, lights).bsdf
-    add, select = bsdf.algebra.add, bsdf.algebra.select
 
     def make(k: int, f: Functions) -> wp.Function:
         vjp = make_eval_vjp(bsdf.record, bsdf.adjoint, f.eval)
+        # A model reads few of the scene's values; the adjoints of the others are left alone.
+        names = tuple(value.name for value in declaration_of(surfaces.bsdfs[k])[0].values)
+        add_where = make_add_where(bsdf.record, names)
 
         @wp.func
         def add_adjoint_of_model(standing: wp.int32, rows: ROWS):
@@ -191,7 +194,7 @@ def make_adjoints_of_each(
                 weight = weights.get(rows, j)
                 found = adjoints.get(rows, j)
                 more = vjp(at.material, at.wi, weight.wo, weight.w)
-                adjoints.put(rows, j, select(at.model == k, add(found, more.material), found))
+                adjoints.put(rows, j, add_where(at.model == k, found, more.material))
                 j += 1
 
         @wp.func
@@ -203,7 +206,7 @@ def make_adjoints_of_each(
                     weight = weights.get(rows, j)
                     if not vanishes(weight.w):
                         more = vjp(at.material, at.wi, weight.wo, weight.w)
-                        adjoints.put(rows, j, add(adjoints.get(rows, j), more.material))
+                        adjoints.put(rows, j, add_where(True, adjoints.get(rows, j), more.material))
 
         return add_adjoint_on_model if f.branches else add_adjoint_of_model
 
