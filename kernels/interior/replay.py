@@ -127,7 +127,7 @@ def make_replay_kernel(config: PathConfig, wanted: GradientRequest, block: int, 
 
 def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LanePaths) -> tuple[int, wp.Function]:
     """Return what ``make_lane_sweep`` returns, for paths that are swept one after the other."""
-    told = paths.radiance is not None
+    told = paths.light is not None
     sweep, finish, _finish_vertex = make_sweep(config, wanted, "reverse", told=told)
     _camera_ray, camera_origin = make_camera_ray(config.camera)
     chosen = make_chosen(paths)
@@ -157,7 +157,9 @@ def make_sweep_of_each(config: PathConfig, wanted: GradientRequest, paths: LaneP
                     if n == 0:
                         vertex.o = camera_origin(scene, camera, sample)
                     if wp.static(told):
-                        carry.lit = paths.radiance(rows, j, n)
+                        light = paths.light(rows, j, n)
+                        carry.lit = light.radiance
+                        carry.crosses = light.crosses
                     carry = sweep(scene, target, vertex, path.delta, carry)
                 if finish(scene, target, camera, sample, carry) != 0.0 or not finite(carry.radiance):
                     count_invalid(scene, paths.lane_samples.get(rows, j).sampler)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import warp as wp
 
-from warp_psdr.kernels.lanes.lanes import ROWS, make_record, word_of, words
+from warp_psdr.kernels.lanes.lanes import ROWS, Rows, make_record, word_of, words
 from warp_psdr.kernels.lanes.light_lanes import LightLanes
 from warp_psdr.kernels.lanes.place_lanes import PlaceLanes
 from warp_psdr.kernels.structs import Triangle
@@ -30,10 +30,11 @@ class RecordedScattering:
 
 
 @wp.struct
-class LightRadiance:
-    """What a light sends to a vertex."""
+class KeptLight:
+    """What the light that was drawn sends to a vertex, and whether its shadow ray crosses surfaces: 1, or 0."""
 
     radiance: wp.vec3
+    crosses: wp.int32
 
 
 @wp.struct
@@ -48,10 +49,10 @@ class RecordedVertex:
 
 @wp.struct
 class LitVertex:
-    """A vertex, and ``radiance`` of the light found by next-event estimation, as ``LightSample`` has it."""
+    """A vertex, and the light found by next-event estimation; its radiance is that of ``LightSample``."""
 
     vertex: PathVertex
-    lit: LightRadiance
+    light: KeptLight
 
 
 class KeptLanes(NamedTuple):
@@ -62,7 +63,7 @@ class KeptLanes(NamedTuple):
         keep_rest: ``(rows, n)`` keeps what there is beside all n-th vertices, which are where the paths stand now.
         vertex: ``(rows, j, n) -> PathVertex``; None if none are kept.
         record: ``(rows, j, n) -> RecordedVertex``, of the nearest n that there is; None unless all of it is kept.
-        radiance: ``(rows, j, n) -> vec3`` of the light; None unless it is kept alone.
+        light: ``(rows, j, n) -> KeptLight``; None unless it is kept alone.
         end: the first row that is free.
     """
 
@@ -70,12 +71,19 @@ class KeptLanes(NamedTuple):
     keep_rest: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
-    radiance: wp.Function | None
+    light: wp.Function | None
     end: int
 
 
 def make_kept_lanes(
-    width: int, first: int, kept: int, whole: bool, lit: bool, on_places: PlaceLanes, lights: LightLanes | None
+    width: int,
+    first: int,
+    kept: int,
+    whole: bool,
+    lit: bool,
+    on_places: PlaceLanes,
+    lights: LightLanes | None,
+    looks: Rows,
 ) -> KeptLanes:
     """Make the functions.
 
@@ -84,9 +92,10 @@ def make_kept_lanes(
         first: the first row that they may take.
         kept: number of vertices of a path.
         whole: whether all of ``RecordedVertex`` is kept.
-        lit: whether vertices and the radiance of lights are; else vertices alone.
+        lit: whether vertices and their lights are; else vertices alone.
         on_places: where the paths stand.
         lights: what next-event estimation finds there, if there are lights.
+        looks: the shadow rays, ``ShadowQuery``.
     """
     size = words(RecordedVertex if whole else LitVertex if lit else PathVertex)  # the vertex comes first in all
     get_vertex, put_vertex = make_record(PathVertex, width, aside=True)
@@ -94,8 +103,8 @@ def make_kept_lanes(
     put_tri, put_stood = (make_record(record, width, aside=True)[1] for record in (Triangle, RecordedScattering))
     tri_word, light_word, stood_word = (word_of(RecordedVertex, name) for name in ("tri", "light", "stood"))
 
-    get_radiance, put_radiance = make_record(LightRadiance, width, aside=True)
-    radiance_word = word_of(LitVertex, "lit")
+    get_light, put_light = make_record(KeptLight, width, aside=True)
+    kept_light_word = word_of(LitVertex, "light")
 
     @wp.func
     def put(rows: ROWS, j: wp.int32, n: wp.int32, vertex: PathVertex):
@@ -130,17 +139,18 @@ def make_kept_lanes(
             j += 1
 
     @wp.func
-    def keep_radiance(rows: ROWS, n: wp.int32):
+    def keep_light(rows: ROWS, n: wp.int32):
         j = wp.int32(0)
         while j < width:
-            found = LightRadiance()
+            found = KeptLight()
             found.radiance = lights.samples.get(rows, j).radiance
-            put_radiance(rows, first + n * size + radiance_word, j, found)
+            found.crosses = looks.get(rows, j).crosses
+            put_light(rows, first + n * size + kept_light_word, j, found)
             j += 1
 
     @wp.func
-    def radiance_at(rows: ROWS, j: wp.int32, n: wp.int32) -> wp.vec3:
-        return get_radiance(rows, first + n * size + radiance_word, j, LightRadiance()).radiance
+    def light_at(rows: ROWS, j: wp.int32, n: wp.int32) -> KeptLight:
+        return get_light(rows, first + n * size + kept_light_word, j, KeptLight())
 
     @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
@@ -152,9 +162,9 @@ def make_kept_lanes(
 
     return KeptLanes(
         put,
-        keep_rest if whole else keep_radiance,
+        keep_rest if whole else keep_light,
         vertex_at if kept else None,
         kept_at if whole else None,
-        radiance_at if lit else None,
+        light_at if lit else None,
         first + kept * size,
     )

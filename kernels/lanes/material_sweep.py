@@ -145,7 +145,7 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
             r.lit = wp.where(vertex.light >= 0, 1, 0)
             r.light_wi = vertex.light_wi
             a_n = wp.cw_mul(path.delta, vertex.throughput)
-            r.light_w = vertex.light_weight * wp.cw_mul(a_n, paths.radiance(rows, j, n))
+            r.light_w = vertex.light_weight * wp.cw_mul(a_n, paths.light(rows, j, n).radiance)
             r.lobe = vertex.lobe
             r.wo = vertex.wo
             r.w = vertex.inv_pdf * wp.cw_mul(a_n, carry.radiance)

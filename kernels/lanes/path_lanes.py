@@ -56,10 +56,11 @@ class LaneSample:
 
 @wp.struct
 class ShadowQuery:
-    """A shadow ray: whether it is traced, and whether it meets anything."""
+    """A shadow ray: whether it is traced, meets what blocks it, and crosses surfaces that let light pass."""
 
     traces_shadow_ray: wp.int32
     blocked: wp.int32
+    crosses: wp.int32
 
 
 @wp.struct
@@ -89,7 +90,7 @@ class LanePaths(NamedTuple):
         camera: ``(rows, j) -> CameraSample``.
         vertex: ``(rows, j, n) -> PathVertex``, its n-th vertex; None if none are kept.
         record: ``(rows, j, n) -> RecordedVertex``, and what is kept with it; None if no such things are.
-        radiance: ``(rows, j, n) -> vec3`` of the light that was drawn there; None unless it is kept.
+        light: ``(rows, j, n) -> KeptLight``, the one that was drawn there; None unless it is kept.
         lane_samples: ``LaneSample``, the paths' samples.
         cameras: ``CameraSample``, where they lie on the film.
         sums: ``Sum``, what they have gathered.
@@ -110,7 +111,7 @@ class LanePaths(NamedTuple):
     camera: wp.Function
     vertex: wp.Function | None
     record: wp.Function | None
-    radiance: wp.Function | None
+    light: wp.Function | None
     lane_samples: Rows
     cameras: Rows
     sums: Rows
@@ -146,7 +147,7 @@ def make_lane_paths(
     """Make the functions; arguments as those of ``make_path_step`` and ``make_camera_starts``.
 
     ``kept``: number of vertices that are kept of a path; none has more. ``whole``: their ``RecordedVertex``; ``lit``:
-    with the radiance of the lights.
+    with what was found of the lights.
     """
     width = config.rays.width
     visibility = visibility_of_meshes(config.rays)
@@ -195,7 +196,7 @@ def make_lane_paths(
             looks,
         )
         end = exact.end
-    store = make_kept_lanes(width, end, kept, whole, lit, on_places, lights)
+    store = make_kept_lanes(width, end, kept, whole, lit, on_places, lights, looks)
 
     @wp.func
     def start(
@@ -311,6 +312,7 @@ def make_lane_paths(
                 passed = passage(scene, event.o, event.d, event.t_max, most)
                 if passed.blocked == 0:
                     shadow.blocked = 0
+                    shadow.crosses = 1
                     looks.put(rows, j, shadow)
                     transmittance = transmittance_of(passed)
                     ls = lights.samples.get(rows, j)
@@ -443,7 +445,7 @@ def make_lane_paths(
     def camera_of(rows: ROWS, j: wp.int32) -> CameraSample:
         return cameras.get(rows, j)
 
-    kept_parts = (store.vertex, store.record, store.radiance)
+    kept_parts = (store.vertex, store.record, store.light)
     traced = (lane_samples, cameras, sums, states, hits, on_places)
     parts = (trace, scatter_standing, advance)
     return LanePaths(width, view, start, step, *parts, gathered, camera_of, *kept_parts, *traced, store.end)

@@ -35,6 +35,7 @@ class Carry:
 
     radiance: wp.vec3  # L_{n+1}
     lit: wp.vec3  # radiance of the light that vertex n has drawn, if the sweep is told
+    crosses: wp.int32  # 1: its shadow ray crosses surfaces, if the sweep is told
     face: wp.int32  # vertex n + 1; -1: it left the scene, -2: there is none
     u: wp.float32
     v: wp.float32
@@ -60,7 +61,8 @@ def make_sweep(
     """Return ``(sweep, finish, finish_vertex)``. ``direct=False``: D_n is the caller's to differentiate.
 
     ``links=False``: light points are found by directions that rest, and contacts weigh nothing.
-    ``before``: in place of ``weight_before`` of ``make_contact_weights``. ``told``: ``Carry.lit`` is set.
+    ``before``: in place of ``weight_before`` of ``make_contact_weights``. ``told``: ``Carry.lit`` and
+    ``Carry.crosses`` are set.
 
     ``sweep(scene, target, vertex, delta, carry) -> Carry``: the step from vertex n + 1 to vertex n.
     ``finish(scene, target, camera, sample, carry) -> float``: the last one, from vertex 1 to the camera; in forward
@@ -198,16 +200,17 @@ def make_sweep(
                     a_direct = a_n
                     a_wo_world = wp.vec3(0.0, 0.0, 0.0)
                     if wp.static(transmittance is not None):
-                        segment = transmittance.segment(scene, at, vertex)
-                        if wp.static(materials):
-                            if segment.passage.crossings > 0:
-                                w_t = vertex.light_weight * wp.cw_mul(a_n, radiance)
-                                w_t = wp.cw_mul(w_t, interaction.eval(at, wo))
-                                crossed = transmittance.accumulate(scene, target, segment, w_t)
-                                total += crossed.dot
-                                adjoint.x += crossed.o
-                                a_wo_world = crossed.d
-                        a_direct = wp.cw_mul(a_n, segment.transmittance)
+                        if wp.static(not told) or carry.crosses == 1:
+                            segment = transmittance.segment(scene, at, vertex)
+                            if wp.static(materials):
+                                if segment.passage.crossings > 0:
+                                    w_t = vertex.light_weight * wp.cw_mul(a_n, radiance)
+                                    w_t = wp.cw_mul(w_t, interaction.eval(at, wo))
+                                    crossed = transmittance.accumulate(scene, target, segment, w_t)
+                                    total += crossed.dot
+                                    adjoint.x += crossed.o
+                                    a_wo_world = crossed.d
+                            a_direct = wp.cw_mul(a_n, segment.transmittance)
                     w_f = vertex.light_weight * wp.cw_mul(a_direct, radiance)
                     chi = wp.float32(1.0)
                     if wp.static(materials):
