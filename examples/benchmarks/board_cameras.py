@@ -6,7 +6,7 @@
 p2, k3, and 13 poses. The left lens starts 2 % off in focal length, with the film's centre, and k1 -.2 alone; its poses
 1 degree and 4 mm off those by which that lens sees the board where it is. The right camera starts from the left lens
 and poses found, 80 mm aside, and is moved as one rig first. Compared with are OpenCV's file of the left lens, and,
-where ``cv2`` is installed, what OpenCV finds from corners without the second pair, in which it misplaces some.
+where ``cv2`` is installed, what OpenCV finds from corners that are refined in smaller windows than those of the file.
 
 **Pairs**: in each of 13 pairs the board and the right camera's pose are unknown, the lenses are those found; it starts
 80 mm aside. One rig has one baseline: the row says how far a pair's length is from the mean of the others', over its
@@ -20,13 +20,10 @@ from pathlib import Path
 import numpy as np
 from common import Report, arguments, psdr
 from opencv_board import (
-    HEIGHT,
     INSIDE_ALONE,
     POSE,
     REDUCE,
-    SQUARE,
     TO_OPENCV,
-    WIDTH,
     Board,
     Lens,
     levels_of,
@@ -128,37 +125,16 @@ def aside() -> np.ndarray:
     return found
 
 
-def by_corners(files: list[Path]) -> Lens | None:
-    """Return the lens that OpenCV finds from corners, the second photograph left out; None without ``cv2``."""
-    try:
-        import cv2
-    except ImportError:
-        return None
-    board = np.zeros((54, 3), np.float32)
-    board[:, :2] = SQUARE * np.mgrid[0:9, 0:6].T.reshape(-1, 2)
-    seen = []
-    for file in (*files[:1], *files[2:]):
-        grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
-        found, corners = cv2.findChessboardCorners(grey, (9, 6))
-        if found:
-            seen.append(cv2.cornerSubPix(grey, corners, (11, 11), (-1, -1), (3, 30, 1e-3)))
-    start = np.diag([START.numbers[0], START.numbers[0], 1.0])
-    _error, matrix, bends, *_poses = cv2.calibrateCamera(
-        [board] * len(seen), seen, (WIDTH, HEIGHT), start, None, flags=cv2.CALIB_FIX_ASPECT_RATIO
-    )
-    return Lens(np.append([matrix[0, 0], matrix[0, 2], matrix[1, 2]], bends.ravel()[:5]))
-
-
 def lenses(study: Board, files: dict[str, list[Path]], cameras: dict[str, Camera], found: dict) -> list[dict]:
     """Return rows: each number of both lenses with its bar, beside OpenCV's."""
     rows = []
     for side, camera in cameras.items():
         low, high = found[side].interval()
-        corners = by_corners(files[side])
+        corners = study.by_corners(files[side])
         for i, label in enumerate(LABELS):
             row = {"camera": side, "number": label, "start": camera.start.numbers[i], "found": camera.unknown.x[i]}
             row |= {"95 % bar": 0.5 * (high[i] - low[i])}
-            row |= {"OpenCV's corners": "none" if corners is None else corners.numbers[i]}
+            row |= {"OpenCV's corners": "none" if corners is None else corners.lens.numbers[i]}
             rows.append(row | {"OpenCV's file": study.lens.numbers[i] if side == "left" else "none"})
     return rows
 

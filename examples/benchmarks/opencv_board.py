@@ -5,6 +5,7 @@ For ``photographs.py`` and ``board_cameras.py``. The board rests at the origin, 
 
 import re
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from common import psdr
@@ -16,6 +17,8 @@ T = psdr.Transform
 POSE = "board.to_world"
 #: Edge of a square, m; size of the photographs, pixels, and by how much they are reduced.
 SQUARE, WIDTH, HEIGHT, REDUCE = 0.025, 640, 480, 4
+#: Half the window in which OpenCV refines a corner, pixels: its program's 11 reaches neighbours of far corners.
+WINDOW = 7
 #: Texels of a square; half of what of the board is compared, squares.
 TEXELS, INSIDE = 16, (4.3, 2.9)
 #: The masks leave out what moves when the board's border does.
@@ -65,12 +68,12 @@ class Lens:
     def __init__(self, numbers: np.ndarray):
         self.numbers = np.asarray(numbers, float)
 
-    def sensor(self, to_camera: np.ndarray) -> dict:
+    def sensor(self, to_camera: np.ndarray, reduce: int = REDUCE) -> dict:
         """Return the sensor of a reduced photograph; ``to_camera``: (4, 4) of the world's points, OpenCV's axes."""
         f, x, y, *bends = self.numbers
         matrix = [[f, 0.0, x], [0.0, f, y], [0.0, 0.0, 1.0]]
         sensor = psdr.cameras.from_opencv(matrix, to_camera[:3, :3], to_camera[:3, 3], (WIDTH, HEIGHT), bends)
-        sensor["film"] |= {"width": WIDTH // REDUCE, "height": HEIGHT // REDUCE}
+        sensor["film"] |= {"width": WIDTH // reduce, "height": HEIGHT // reduce}
         return sensor
 
     def directions(self) -> np.ndarray:
@@ -84,10 +87,25 @@ class Lens:
         return np.concatenate([plain, np.ones((HEIGHT, WIDTH, 1))], axis=-1)
 
 
+class Calibration(NamedTuple):
+    """What OpenCV finds from corners.
+
+    Attributes:
+        lens: of the camera.
+        to_camera: (N, 4, 4) of the board's points, OpenCV's axes.
+        errors: (N,) what each photograph's corners leave, root mean square, pixels.
+    """
+
+    lens: Lens
+    to_camera: np.ndarray
+    errors: np.ndarray
+
+
 class Board:
     """OpenCV's photographs of its board, the left lens and the poses that it found.
 
     Attributes:
+        lens: of the left camera.
         to_camera: (13, 4, 4) of the board's points, its middle the origin, to the left camera, OpenCV's axes.
     """
 
@@ -101,29 +119,53 @@ class Board:
         self.numbers = (*range(1, 10), *range(11, 15))
         matrix, bends = numbers("camera_matrix", (3, 3)), numbers("distortion_coefficients", (5,))
         self.lens = Lens(np.append([matrix[0, 0], matrix[0, 2], matrix[1, 2]], bends))
-        self.errors = numbers("per_view_reprojection_errors", (13,))
         self.pattern = squares(7, 10, TEXELS)
         corners = np.array([[-1, -1, 0], [9, -1, 0], [9, 6, 0], [-1, 6, 0]]) * SQUARE
-        middle = corners.mean(axis=0)
-        self.corners = corners - middle
-        self.inner = np.stack(np.meshgrid(np.arange(9), np.arange(6), [0]), axis=-1).reshape(-1, 3) * SQUARE - middle
-        self.to_camera = np.tile(np.eye(4), (13, 1, 1))
-        for pose, found in zip(self.to_camera, numbers("extrinsic_parameters", (13, 6)), strict=True):
-            pose[:3, :3] = Rotation.from_rotvec(found[:3]).as_matrix()
-            pose[:3, 3] = found[3:] + pose[:3, :3] @ middle
+        self._middle = corners.mean(axis=0)
+        self.corners = corners - self._middle
+        self._drawn = np.stack(np.meshgrid(np.arange(9), np.arange(6), [0]), axis=-1).reshape(-1, 3) * SQUARE
+        self.inner = self._drawn - self._middle
+        found = numbers("extrinsic_parameters", (13, 6))
+        self.to_camera = self._poses(found[:, :3], found[:, 3:])
+
+    def _poses(self, turns: np.ndarray, shifts: np.ndarray) -> np.ndarray:
+        """Return (N, 4, 4) of the board's points from OpenCV's rotation vectors and shifts, (N, 3) each."""
+        poses = np.tile(np.eye(4), (len(turns), 1, 1))
+        poses[:, :3, :3] = Rotation.from_rotvec(turns).as_matrix()
+        poses[:, :3, 3] = shifts + poses[:, :3, :3] @ self._middle
+        return poses
+
+    def by_corners(self, files: list[Path]) -> Calibration | None:
+        """Return what OpenCV finds from the corners of all photographs of a camera; None without ``cv2``."""
+        try:
+            import cv2
+        except ImportError:
+            return None
+        seen = []
+        for file in files:
+            grey = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+            _found, corners = cv2.findChessboardCorners(grey, (9, 6))
+            seen.append(cv2.cornerSubPix(grey, corners, (WINDOW, WINDOW), (-1, -1), (3, 30, 1e-3)))
+        start = np.diag([self.lens.numbers[0], self.lens.numbers[0], 1.0])
+        _error, matrix, bends, turns, shifts, _, _, errors = cv2.calibrateCameraExtended(
+            [np.float32(self._drawn)] * len(seen), seen, (WIDTH, HEIGHT), start, None, flags=cv2.CALIB_FIX_ASPECT_RATIO
+        )
+        lens = Lens(np.append([matrix[0, 0], matrix[0, 2], matrix[1, 2]], bends.ravel()[:5]))
+        poses = self._poses(np.stack(turns).reshape(-1, 3), np.stack(shifts).reshape(-1, 3))
+        return Calibration(lens, poses, errors.ravel())
 
     def files(self, folder: Path, side: str) -> list[Path]:
         """Return the photographs of the left or the right camera."""
         return [folder / f"{side}{i:02}.jpg" for i in self.numbers]
 
-    def pixels(self, to_camera: np.ndarray) -> np.ndarray:
-        """Return where inner corners are in a photograph, pixels, without the lens's bends."""
-        seen = self.inner @ to_camera[:3, :3].T + to_camera[:3, 3]
-        return seen[:, :2] / seen[:, 2:] * self.lens.numbers[0]
+    def apart(self, found: np.ndarray, truth: np.ndarray, focal: float) -> float:
+        """Return how far two poses have inner corners apart, root mean square, pixels, without the lens's bends."""
 
-    def apart(self, found: np.ndarray, truth: np.ndarray) -> float:
-        """Return how far two poses have inner corners apart, root mean square, pixels of the photograph."""
-        return float(np.sqrt(((self.pixels(found) - self.pixels(truth)) ** 2).sum(axis=1).mean()))
+        def pixels(to_camera: np.ndarray) -> np.ndarray:
+            seen = self.inner @ to_camera[:3, :3].T + to_camera[:3, 3]
+            return focal * seen[:, :2] / seen[:, 2:]
+
+        return float(np.sqrt(((pixels(found) - pixels(truth)) ** 2).sum(axis=1).mean()))
 
     def inside(self, to_camera: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """Return the mask of the board's squares that a camera sees, a photograph's size.

@@ -1,9 +1,8 @@
 """Recovers an object from Middlebury's sparse rings of 16 photographs: shape, albedo and light, with four kept back.
 
-    python examples/benchmarks/rings.py FOLDER [--boundary none] [--mitsuba] [--share 0.25] [--out rings.jsonl]
+    python examples/benchmarks/rings.py FOLDER [--boundary none] [--mitsuba] [--share 0.25] [--output docs/data/rings.jsonl]
 
-FOLDER holds ``dinoSparseRing``, unpacked from https://vision.middlebury.edu/mview/data. ``templeSparseRing`` is read,
-too, but the cloth behind it is brighter than the threshold of the silhouettes that carve.
+FOLDER holds ``dinoSparseRing`` or ``templeSparseRing``, unpacked from https://vision.middlebury.edu/mview/data.
 
 The start is the visual hull of the given silhouettes, of one albedo, in even light. Every stage of ``STAGES`` makes a
 mesh of even triangles and steps of two photographs each: first the light alone, then light, albedo and shape. The light
@@ -180,7 +179,7 @@ def draw(folder: Path, ring: data.Ring, start: list, found: list, model: data.Mo
 def main() -> None:
     """Recover an object and report how near it comes to the photographs that were kept."""
     parser = arguments(__doc__)
-    parser.add_argument("folder", type=Path, help="dinoSparseRing, unpacked")
+    parser.add_argument("folder", type=Path, help="dinoSparseRing or templeSparseRing, unpacked")
     parser.add_argument("--boundary", choices=["auto", "none"], default="auto", help="none: leave its term out")
     parser.add_argument("--mitsuba", action="store_true", help="let Mitsuba render and differentiate")
     parser.add_argument("--depth", type=int, default=3, help="most vertices of a path behind the camera")

@@ -7,6 +7,7 @@ Comparison and Evaluation of Multi-View Stereo Reconstruction Algorithms. CVPR 2
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -22,12 +23,6 @@ import remesh
 
 #: Names of what is sought.
 SHAPE, ALBEDO, LIGHT = "object.vertex_positions", "object.vertex_color", "sky.data"
-#: The README's silhouettes: threshold of the codes, and by how many pixels they grow and shrink again. They judge.
-THRESHOLD, GROWN, SHRUNK = 0.19, 10, 7
-#: Threshold of the silhouettes that carve and are fitted: .19 cuts off what lies in shadow.
-CARVING = 0.15
-#: Holes in a silhouette of fewer pixels are shadows on the object, and filled.
-SHADOW = 1000
 #: Nodes of the hull's grid along the longest edge of its box, and what is added to the box on all sides, as a share.
 NODES, MARGIN = 128, 0.06
 #: Most that principal points may be off, pixels; nodes of the hulls that tell.
@@ -70,6 +65,34 @@ QUICK = (
 )
 
 
+class Backdrop(NamedTuple):
+    """How an object is told from what is behind it.
+
+    Attributes:
+        signal: codes (H, W, 3) -> (H, W), which is larger on the object.
+        judging: threshold of the silhouettes that judge.
+        carving: of those that carve and are fitted.
+        grown: by how many pixels silhouettes grow.
+        shrunk: by how many they shrink then.
+        shadow: holes of fewer pixels are shadows on the object, and filled.
+    """
+
+    signal: Callable[[np.ndarray], np.ndarray]
+    judging: float
+    carving: float
+    grown: int
+    shrunk: int
+    shadow: int
+
+
+#: The dinosaur's README says how to find silhouettes that judge. Its threshold cuts off what lies in shadow.
+BLACK = Backdrop(lambda codes: codes.max(axis=2), 0.19, 0.15, 10, 7, 1000)
+#: The cloth behind the temple is brighter than what lies in shadow, but not yellow: outside the box, the red code is at
+#: most 0.1 above the blue one. Silhouettes do not grow, so that narrow gaps between columns stay open.
+CLOTH = Backdrop(lambda codes: codes[..., 0] - codes[..., 2], 0.1, 0.1, 2, 2, 600)
+BACKDROPS = {"templeSR_par.txt": CLOTH}
+
+
 @dataclass(frozen=True)
 class Model:
     """What is sought.
@@ -96,6 +119,7 @@ class View(NamedTuple):
         R: (3, 3) rotation from the world to the camera.
         t: (3,) translation, m.
         carves: whether its silhouette is good.
+        backdrop: of the photograph.
     """
 
     file: Path
@@ -103,6 +127,7 @@ class View(NamedTuple):
     R: np.ndarray
     t: np.ndarray
     carves: bool
+    backdrop: Backdrop
 
 
 def read_views(folder: Path) -> list[View]:
@@ -121,7 +146,8 @@ def read_views(folder: Path) -> list[View]:
         name, *numbers = line.split()
         k, r, t = np.split(np.array(numbers, float), [9, 18])
         carves = names is None or name in names
-        views.append(View(Path(folder) / name, k.reshape(3, 3), r.reshape(3, 3), t, carves))
+        backdrop = BACKDROPS.get(lists[0].name, BLACK)
+        views.append(View(Path(folder) / name, k.reshape(3, 3), r.reshape(3, 3), t, carves, backdrop))
     return views
 
 
@@ -132,33 +158,36 @@ def read_box(folder: Path) -> np.ndarray:
     return np.array(corners, float)
 
 
-def silhouette(codes: np.ndarray, threshold: float = THRESHOLD) -> np.ndarray:
-    """Return where an object is in a photograph before a black background, some pixels too large.
+def silhouette(signal: np.ndarray, threshold: float, backdrop: Backdrop = BLACK) -> np.ndarray:
+    """Return where an object is in a photograph.
 
     Args:
-        codes: (H, W) or (H, W, 3), 0 to 1.
-        threshold: of the brightest channel.
+        signal: (H, W), larger on the object.
+        threshold: of the signal.
+        backdrop: what is behind the object.
 
     Returns:
         (H, W) booleans.
     """
-    bright = (codes if codes.ndim == 2 else codes.max(axis=2)) > threshold
+    margin = backdrop.grown + backdrop.shrunk
     # Beyond the frame lies what is at its border: an object that is cut off does not shrink there.
-    padded = np.pad(bright, GROWN + SHRUNK, mode="edge")
-    grown = ndimage.distance_transform_edt(~padded) <= GROWN
-    shrunk = ndimage.distance_transform_edt(grown) > SHRUNK
-    inside = shrunk[GROWN + SHRUNK : -GROWN - SHRUNK, GROWN + SHRUNK : -GROWN - SHRUNK]
+    padded = np.pad(signal > threshold, margin, mode="edge")
+    grown = ndimage.distance_transform_edt(~padded) <= backdrop.grown
+    shrunk = ndimage.distance_transform_edt(grown) > backdrop.shrunk
+    inside = shrunk[margin:-margin, margin:-margin]
     parts, count = ndimage.label(inside)
     if count == 0:
         raise ValueError(f"no pixel is brighter than {threshold}; the photograph shows no object")
     inside = parts == 1 + np.argmax(np.bincount(parts.ravel())[1:])
     holes, _count = ndimage.label(~inside)
-    return inside | (np.bincount(holes.ravel()) < SHADOW)[holes]
+    return inside | (np.bincount(holes.ravel()) < backdrop.shadow)[holes]
 
 
-def read_silhouette(view: View, threshold: float = THRESHOLD) -> np.ndarray:
-    """Return the silhouette of a photograph."""
-    return silhouette(np.asarray(Image.open(view.file).convert("RGB")) / 255.0, threshold)
+def read_silhouette(view: View, *, judging: bool) -> np.ndarray:
+    """Return the silhouette of a photograph: the one that judges, or the one that carves and is fitted."""
+    backdrop = view.backdrop
+    signal = backdrop.signal(np.asarray(Image.open(view.file).convert("RGB")) / 255.0)
+    return silhouette(signal, backdrop.judging if judging else backdrop.carving, backdrop)
 
 
 def signed_distance(inside: np.ndarray) -> np.ndarray:
@@ -236,7 +265,7 @@ class Ring:
         self.views = read_views(folder)
         self.kept = list(range(EVERY - 1, len(self.views), EVERY))
         self.given = [i for i in range(len(self.views)) if i not in self.kept]
-        outlined = [read_silhouette(view, CARVING) for view in self.views]
+        outlined = [read_silhouette(view, judging=False) for view in self.views]
         carving, box = [i for i in self.given if self.views[i].carves], read_box(folder)
         silhouettes = [outlined[i] for i in carving]
         self.offset = offset_of([self.views[i] for i in carving], silhouettes, box)
@@ -247,7 +276,8 @@ class Ring:
             photograph = psdr.Photograph(view.file, response=1.0, reduce=REDUCE, saturated=2.0)
             h, w = photograph.shape
             seen, judged = (
-                mask.reshape(h, REDUCE, w, REDUCE).mean(axis=(1, 3)) for mask in (inside, read_silhouette(view))
+                mask.reshape(h, REDUCE, w, REDUCE).mean(axis=(1, 3))
+                for mask in (inside, read_silhouette(view, judging=True))
             )
             self.linear.append(np.where(seen[..., None] > 0.0, photograph.linear, 0.0).astype(np.float32))
             self.inside.append(judged > 0.5)

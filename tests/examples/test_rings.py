@@ -64,7 +64,7 @@ def test_the_hull_of_a_ring_holds_the_ball_closely(data, ring):
     assert ring.linear[0].shape == (60, 80, 3) and ring.linear[0].max() == pytest.approx(150.0 / 255.0)
     vertices, faces = ring.hull
     away = vertices - MIDDLE
-    grown = (data.GROWN - data.SHRUNK) * DISTANCE / FOCAL[0]
+    grown = (data.BLACK.grown - data.BLACK.shrunk) * DISTANCE / FOCAL[0]
     # In the ring's plane the hull is a polygon of 11 views around a circle; the ball is inside of it everywhere.
     assert np.linalg.norm(away, axis=1).min() > RADIUS - NODE
     assert np.linalg.norm(away, axis=1).max() < 1.15 * (RADIUS + grown) + NODE
@@ -77,7 +77,7 @@ def test_the_hull_of_a_ring_holds_the_ball_closely(data, ring):
 def test_silhouettes_tell_a_principal_point_that_is_too_high(data, tmp_path):
     write_ring(tmp_path, offset=1.5)
     views = data.read_views(tmp_path)[::2]
-    silhouettes = [data.read_silhouette(view) for view in views]
+    silhouettes = [data.read_silhouette(view, judging=True) for view in views]
     assert data.offset_of(views, silhouettes, data.read_box(tmp_path)) == pytest.approx(1.5, abs=0.3)
 
 
@@ -86,15 +86,15 @@ def test_silhouettes_grow_a_little_and_shadows_are_filled(data):
     codes[30:90, 40:100] = 0.6
     codes[50:70, 60:80] = 0.05  # in shadow
     codes[5:9, 150:154] = 0.5  # something else
-    found = data.silhouette(codes)
-    grown = data.GROWN - data.SHRUNK
+    found = data.silhouette(codes, 0.19)
+    grown = data.BLACK.grown - data.BLACK.shrunk
     assert found[30:90, 40:100].all()
     assert found[60].sum() == found[:, 70].sum() == 60 + 2 * grown
     assert not found[:20, 140:].any()
-    cut = data.silhouette(codes[45:])
+    cut = data.silhouette(codes[45:], 0.19)
     assert cut[0, 40:100].all()  # an object that the frame cuts off
     with pytest.raises(ValueError, match="shows no object"):
-        data.silhouette(np.zeros((20, 20)))
+        data.silhouette(np.zeros((20, 20)), 0.19)
 
 
 def test_cameras_see_where_the_matrices_say(data, ring):
