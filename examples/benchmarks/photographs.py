@@ -7,8 +7,8 @@
 noise, JPEG, a response of 2.0 that is read as 2.2, light that is up to a third brighter on one side. The row says how
 often 95 % bars of the board's pose hold the truth.
 
-**board**: 26 photographs of OpenCV's board by two cameras, 640 x 480, as Debian's ``opencv-doc`` installs them, reduced to
-160 x 120 or by ``--reduce``. Poses start 6 degrees and 8 mm off. Given are the lenses, and compared are the poses, that
+**board**: 26 photographs of OpenCV's board by two cameras, 640 x 480, as Debian's ``opencv-doc`` installs them, reduced
+to 160 x 120 or by ``--reduce``. Poses start 6 degrees and 8 mm off. Given are the lenses, and compared are the poses, that
 OpenCV (``cv2``) finds from the corners of a camera's photographs. Codes are taken for linear, which leaves the least
 residual.
 """
@@ -119,49 +119,48 @@ def board(folder: Path, count: int, reduce: int) -> tuple[str, list[dict]]:
         theirs = study.by_corners(files)
         if theirs is None:
             raise SystemExit("this benchmark compares with OpenCV: pip install opencv-python-headless")
-        rays, focal = theirs.lens.directions(), theirs.lens.numbers[0]
         scene = scene_of(study.corners, study.pattern, {"sensor": theirs.lens.sensor(np.eye(4), reduce)})
-        params = psdr.traverse(scene)
-
-        def found(params=params) -> np.ndarray:
-            return params[POSE].numpy().astype(float)
-
-        for file, truth, error in zip(files[:count], theirs.to_camera, theirs.errors, strict=False):
+        params, rays, focal = psdr.traverse(scene), theirs.lens.directions(), theirs.lens.numbers[0]
+        for file, truth, error in list(zip(files, theirs.to_camera, theirs.errors, strict=True))[:count]:
             start = moved(truth, *OFF, np.random.default_rng(len(rows)))
             params[POSE] = start.astype(np.float32)
             params.update()
             began = time.process_time()
-            photograph = psdr.Photograph(
-                file,
-                response=1.0,
-                mask=lambda found=found, rays=rays: study.inside(found(), rays),
-                reduce=reduce,
-                saturated=2.0,
-            )
-            bright = photograph.linear[photograph.weights > 0.0]
-            levels = levels_of(params, study.pattern, np.quantile(bright, [0.2, 0.8]).tolist())
-            params.update()
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore", RuntimeWarning)
-                unknowns = [psdr.unknowns.Rigid(POSE), levels]
-                solution = psdr.solve(scene, params, photograph, unknowns=unknowns, integrator=INSIDE_ALONE, spp=SPP)
-            bars = solution.interval()[1] - solution.values
+            solution = solve_photograph(study, scene, params, file, rays, reduce)
+            seconds = time.process_time() - began
+            found, bars = params[POSE].numpy().astype(float), solution.interval()[1] - solution.values
             rows.append(
                 {
                     "photograph": file.name,
                     "start [px]": study.apart(start, truth, focal),
-                    "found [px]": study.apart(found(), truth, focal),
+                    "found [px]": study.apart(found, truth, focal),
                     "OpenCV's own residual [px]": float(error),
                     "95 % bar of turns [deg]": float(np.degrees(np.linalg.norm(bars[:3]))),
                     "of the distance [mm]": float(1e3 * bars[5]),
-                    "distance off [mm]": float(1e3 * (found()[2, 3] - truth[2, 3])),
+                    "distance off [mm]": float(1e3 * (found[2, 3] - truth[2, 3])),
                     "steps": len(solution.steps),
-                    "processor time [s]": time.process_time() - began,
+                    "processor time [s]": seconds,
                 }
             )
             print(rows[-1], flush=True)
     size = f"{WIDTH // reduce} x {HEIGHT // reduce}"
     return f"corners of the board against OpenCV's poses, {size} pixels, from 6 degrees and 8 mm off", rows
+
+
+def solve_photograph(study: Board, scene, params, file: Path, rays: np.ndarray, reduce: int):
+    """Find the board's pose and grey levels from a photograph; ``rays``: directions of its pixels."""
+
+    def mask() -> np.ndarray:
+        return study.inside(params[POSE].numpy().astype(float), rays)
+
+    photograph = psdr.Photograph(file, response=1.0, mask=mask, reduce=reduce, saturated=2.0)
+    bright = photograph.linear[photograph.weights > 0.0]
+    levels = levels_of(params, study.pattern, np.quantile(bright, [0.2, 0.8]).tolist())
+    params.update()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        unknowns = [psdr.unknowns.Rigid(POSE), levels]
+        return psdr.solve(scene, params, photograph, unknowns=unknowns, integrator=INSIDE_ALONE, spp=SPP)
 
 
 def main() -> None:

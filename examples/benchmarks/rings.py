@@ -1,6 +1,6 @@
 """Recovers an object from Middlebury's sparse rings of 16 photographs: shape, albedo and light, with four kept back.
 
-    python examples/benchmarks/rings.py FOLDER [--boundary none] [--mitsuba] [--share 0.25] [--output docs/data/rings.jsonl]
+    python examples/benchmarks/rings.py FOLDER [--boundary none] [--mitsuba] [--share 0.25] [--output rings.jsonl]
 
 FOLDER holds ``dinoSparseRing`` or ``templeSparseRing``, unpacked from https://vision.middlebury.edu/mview/data.
 
