@@ -8,9 +8,9 @@ noise, JPEG, a response of 2.0 that is read as 2.2, light that is up to a third 
 often 95 % bars of the board's pose hold the truth.
 
 **board**: 26 photographs of OpenCV's board by two cameras, 640 x 480, as Debian's ``opencv-doc`` installs them, reduced
-to 160 x 120 or by ``--reduce``. Poses start 6 degrees and 8 mm off. Given are the lenses, and compared are the poses, that
-OpenCV (``cv2``) finds from the corners of a camera's photographs. Codes are taken for linear, which leaves the least
-residual.
+to 160 x 120 or by ``--reduce``. Poses start 6 degrees and 8 mm off. OpenCV (``cv2``) finds lenses and poses from the
+corners of each camera's photographs: the lenses are given, the poses compared with. Codes are taken for linear, which
+leaves the least residual.
 """
 
 import io

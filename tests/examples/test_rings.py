@@ -97,6 +97,18 @@ def test_silhouettes_grow_a_little_and_shadows_are_filled(data):
         data.silhouette(np.zeros((20, 20)), 0.19)
 
 
+def test_a_yellow_object_is_told_from_a_brighter_cloth_by_its_colour(data):
+    codes = np.full((120, 160, 3), 0.3)
+    codes[30:90, 40:100] = [0.28, 0.2, 0.14]
+    codes[35:85, 60:75] = 0.3  # the cloth, through a gap
+    codes[60:64, 85:89] = 0.03  # in shadow
+    found = data.silhouette(data.CLOTH.signal(codes), data.CLOTH.carving, data.CLOTH)
+    truth = np.zeros((120, 160), bool)
+    truth[30:90, 40:100] = True
+    truth[35:85, 60:75] = False
+    assert (found != truth).sum() <= 16  # the gap's corners are closed
+
+
 def test_cameras_see_where_the_matrices_say(data, ring):
     sensor = ring.sensor(5)
     view = ring.views[5]
