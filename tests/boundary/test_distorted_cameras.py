@@ -31,6 +31,13 @@ def bent(sensor, model=OPENCV, fov=70.0):
     return {**sensor, "film": sensor["film"] | FILM, **more}
 
 
+def panned(pose):
+    """The camera turns where it is. About the origin it would turn facets of the ball away, within the step."""
+    tangent = turned(2)(pose)
+    tangent[:3, 3] = 0.0
+    return tangent
+
+
 def exact_ball():
     scene = silhouette("tent")
     bsdf = scene["shape"]["bsdf"]
@@ -92,13 +99,13 @@ CASES = [
     *numbers("bent exact", some("k1", "p1")),
     *numbers("bent", some("k1", "p1"), spp=4096),
     Case("bent silhouette", SHAPE, ALONG, 0.01, "moves", spp=512, difference_spp=4096),
-    Case("bent silhouette", POSE, turned(2), 0.004, "camera turns", spp=1024, difference_spp=8192),
+    Case("bent silhouette", POSE, panned, 0.004, "camera turns", spp=256, difference_spp=1024),
     Case("bent smooth", SHAPE, scaled, 0.01, "scales", spp=2048, difference_spp=4096),
     Case("bent exact", "shape.to_world", ALONG, 0.01, "moves", spp=512, difference_spp=4096),
     Case("bent lens", SHAPE, ALONG, 0.01, "moves out of focus", spp=512, difference_spp=4096),
     Case("bent lens", RADIUS, np.ones_like, 0.03, "aperture opens", spp=1024, difference_spp=8192),
     Case("fisheye", SHAPE, ALONG, 0.01, "moves", spp=512, difference_spp=4096),
-    Case("fisheye", POSE, turned(2), 0.004, "camera turns", spp=1024, difference_spp=8192),
+    Case("fisheye", POSE, panned, 0.004, "camera turns", spp=256, difference_spp=1024),
     Case("bent", OCCLUDER, ALONG, 0.01, "occluder moves", spp=512, difference_spp=4096),
     Case("bent", FLOOR, moved(0.0, 0.0, 1.0), 0.02, RECEIVER, spp=2048, difference_spp=4096),
     Case("bent", POSE, ALONG, 0.01, "camera moves", spp=512, difference_spp=4096),
