@@ -66,7 +66,7 @@ STEPS |= {"pixel_aspect": 0.01, "skew": 0.01, "x_fov": 0.3}
 STEPS |= {"principal_point_offset_x": 3e-3, "principal_point_offset_y": 3e-3}
 #: Coefficients of high order, which move the outline little.
 SMALL = ("k3", "k5", "k6")
-OF_FISHEYE = {n: 0.1 if n == "k4" else step for n, step in STEPS.items() if n not in ("p1", "p2", "k5", "k6")}
+OF_FISHEYE = {n: step for n, step in STEPS.items() if n not in ("p1", "p2", "k4", "k5", "k6")}
 
 
 def numbers(scene: str, steps, spp=512, fast=()) -> list[Case]:
@@ -94,6 +94,7 @@ CASES = [
     *numbers("bent silhouette", STEPS, fast=("k1", "p2")),
     *numbers("bent lens", {name: STEPS[name] for name in STEPS if name not in SMALL}, spp=4096),
     *numbers("fisheye", OF_FISHEYE, spp=2048),
+    Case("fisheye", "sensor.k4", np.ones_like, 0.1, "k4 changes", spp=2048, difference_spp=32768),
     *numbers("fisheye lens", some("k1", "skew"), spp=4096),
     *numbers("bent smooth", some("k1", "pixel_aspect"), spp=1024),
     *numbers("bent exact", some("k1", "p1")),
