@@ -113,7 +113,7 @@ CASES = [
     Case("bent room", BOX, ACROSS, 0.005, "a box moves", depth=3, spp=1024, difference_spp=4096),
     Case("bent mirror", LAMP, ALONG, 0.01, "lamp moves", spp=2048, difference_spp=16384),
     Case("bent mirror", WALL, turned(2), 0.002, "mirror turns", spp=1024, difference_spp=8192),
-    Case("bent mirror", "sensor.k1", np.ones_like, 0.1, "k1 changes", spp=1024, difference_spp=32768),
+    Case("bent mirror", "sensor.k1", np.ones_like, 0.1, "k1 changes", spp=8192, difference_spp=32768),
     Case("bent glass", GLASSES, turned(2), 0.01, "slab turns", depth=4, spp=2048, difference_spp=16384),
     Case("bent glass", ETA, np.ones_like, 0.02, "index changes", depth=4, spp=1024, difference_spp=8192),
     Case("bent glass", "sensor.k1", np.ones_like, 0.03, "k1 changes", depth=4, spp=1024, difference_spp=8192),
