@@ -111,15 +111,14 @@ def _measures(scene: Scene) -> list[str]:
 
 @contextlib.contextmanager
 def world_of(subject: SceneSubject, scale: float, factors: dict[str, np.ndarray]) -> Iterator[None]:
-    """Let the scene be a larger or a smaller one meanwhile, about its middle."""
+    """Let the scene be a larger or a smaller one meanwhile, about the origin of the device's coordinates."""
     scene, cameras = subject.scene, subject.scene.builder.cameras
-    middle = scene.origin + 0.5 * (scene.boxes.low.min(axis=0) + scene.boxes.high.max(axis=0))
     values = {}
     for name, factor in factors.items():
         values[name] = factor * subject.params[name].numpy().astype(np.float64)
         if scene.parameters[name].placed:
             place = values[name][:3, 3] if factor.shape == (4, 4) else values[name]
-            place += (1.0 - scale) * middle
+            place += (1.0 - scale) * scene.origin
     clips = [(camera.near, camera.far) for camera in cameras]
     try:
         for camera, sensor in zip(cameras, scene.description.sensors, strict=True):
