@@ -49,6 +49,11 @@ def test_right_gradients_raise_no_alarm() -> None:
         assert certificate("soft", name, checks="all").ok is not False
 
 
+def test_what_is_seen_comes_first() -> None:
+    found = certificate("sun", "light.to_world")  # a shift of the sun changes nothing
+    assert found.ok is True and found.findings[0].what == "turn"
+
+
 def test_a_missing_boundary_term() -> None:
     assert certificate("soft", POSITIONS, boundary=None).ok is False
 

@@ -129,7 +129,8 @@ def _prepared(subject: Subject, adjoints: np.ndarray, directions: Directions, re
         batches = batches[:, int(np.argmax(sizes))]
         e.prices.append(price.price(name, batches, e.base.cost / len(adjoints)))
         kept, notes = directions(name, batches.mean(axis=0), batches.std(axis=0, ddof=1))
-        found.append(kept)
+        # A sun's direction shifts and nothing changes: what the pilot sees comes first.
+        found.append(sorted(kept, key=lambda direction: not direction.along(batches).any()))
         e.notes += notes
     chosen = [of_parameter[0] for of_parameter in found if of_parameter]
     rest = [d for rank in range(1, MOST_DIRECTIONS) for of_parameter in found for d in of_parameter[rank : rank + 1]]
