@@ -26,9 +26,10 @@ VERDICTS = ("within", "undecided", "not seen", "biased", "refused")
 
 
 def row_of(title: str, name: str, certificate: psdr.Certificate) -> dict:
-    """Return what a certificate says of a parameter."""
+    """Return what a certificate says of a parameter; the slope is that of the direction that is told best."""
     of = certificate[name]
-    slope = of.slope
+    slopes = [f.slope for f in of.findings if f.check == "slope" and f.slope is not None]
+    slope = min(slopes, key=lambda s: s.error, default=None)
     told = [f for f in of.findings if f.verdict != "undecided"]
     return {
         "gradient": title,
