@@ -8,10 +8,11 @@ a floor in its own plane, change nothing with or without a boundary term: such i
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from warp_psdr.certify.directions import Direction
 from warp_psdr.certify.examination import Examination
 from warp_psdr.certify.spending import Row, Sampler
 
@@ -36,41 +37,47 @@ def rows(e: Examination) -> list[Row]:
             found.append([float((adjoint[0] * image).sum()), float(d.along(reverse[d.parameter])[0])])
         return np.array(found)
 
+    return compared_sides(e, NAME, chosen, (WHAT,), draw)
+
+
+def compared_sides(
+    e: Examination, check: str, chosen: list[Direction], whats: Sequence[str], draw: Callable[[int], np.ndarray]
+) -> list[Row]:
+    """Return rows that compare derivatives of equal random numbers; none where there is no time for a test.
+
+    Args:
+        e: the examination.
+        check: its name.
+        chosen: directions.
+        whats: what the sides after the first are.
+        draw: seed -> derivatives (directions, 1 + sides). Each side is compared with the first: 1 plus their difference
+            over the size of both, with 1.
+    """
     e.compile(draw)
-    both = Sampler(draw, e.stream(NAME, 0))
-    both.try_out(1)
-    if not e.affords(both, NAME):
+    sides = Sampler(draw, e.stream(check, 0))
+    sides.try_out(1)
+    if not e.affords(sides, check):
         return []
-    both.try_out()
+    sides.try_out()
+    exact = Sampler(lambda seed: np.ones(1), e.stream(check, 1))
+    exact.try_out()
+    sizes = np.abs(np.stack(sides.pilot))
     return [
-        compared_with_one(e, NAME, d.parameter, WHAT, both, ratios(scale, i, 0, 1))
+        Row(
+            check=check,
+            parameter=d.parameter,
+            what=what,
+            a=sides,
+            b=exact,
+            of_a=_ratios(i, side, size),
+            of_b=lambda values: (values[:, 0], np.zeros(len(values))),
+        )
         for i, d in enumerate(chosen)
-        if (scale := size_of_sides(both, i, 0, 1)) > 0.0
+        for side, what in enumerate(whats, 1)
+        if (size := float(sizes[:, i, [0, side]].mean())) > 0.0
     ]
 
 
-def compared_with_one(
-    e: Examination, check: str, parameter: str, what: str, sampler: Sampler, of_a: Callable[[np.ndarray], np.ndarray]
-) -> Row:
-    """Return a row that compares what batches of a sampler say with 1."""
-    exact = Sampler(lambda seed: np.ones(1), e.stream(check, 1))
-    exact.try_out()
-    return Row(
-        check=check,
-        parameter=parameter,
-        what=what,
-        a=sampler,
-        b=exact,
-        of_a=of_a,
-        of_b=lambda values: (values[:, 0], np.zeros(len(values))),
-    )
-
-
-def size_of_sides(sampler: Sampler, number: int, one: int, other: int) -> float:
-    """Return the mean size of two sides of a direction in a pilot (n, directions, sides)."""
-    return float(np.abs(np.stack(sampler.pilot)[:, number, [one, other]]).mean())
-
-
-def ratios(scale: float, number: int, one: int, other: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Return batches (n, directions, sides) -> 1 plus the difference of a direction's sides over a size, (n,)."""
-    return lambda values: np.asarray(1.0 + (values[:, number, other] - values[:, number, one]) / scale)
+def _ratios(number: int, side: int, size: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Return batches (n, directions, sides) -> 1 plus the difference of a direction's sides over their size, (n,)."""
+    return lambda values: np.asarray(1.0 + (values[:, number, side] - values[:, number, 0]) / size)

@@ -18,8 +18,8 @@ from dataclasses import replace
 import numpy as np
 
 from warp_psdr.certify.examination import Examination
-from warp_psdr.certify.identities import compared_with_one, ratios, size_of_sides
-from warp_psdr.certify.spending import Row, Sampler
+from warp_psdr.certify.identities import compared_sides
+from warp_psdr.certify.spending import Row
 from warp_psdr.certify.subject import SceneSubject
 from warp_psdr.kernels.medium.coefficients import EMISSION, SCALE
 from warp_psdr.scene.layout import CAMERA, LIGHT_POSE, MEDIUM, SHAPE_GRID, Parameter
@@ -48,30 +48,20 @@ def rows(e: Examination) -> list[Row]:
         e.notes.append(f"{NAME} is left out: {reason}")
         return []
     subject = replace(subject, spp=(subject.spp[0], max(subject.spp[1] // FEWER, 1)))
-    chosen = [direction for _number, direction in e.telling()]
+    chosen, adjoint = [direction for _number, direction in e.telling()], e.adjoints[:1]
 
     def draw(seed: int) -> np.ndarray:
         """Return derivatives (directions, 1 + scales): of the scene as it is, and in the other worlds."""
-        found = [[float(d.along(g[d.parameter])[0]) for d in chosen] for g in [subject.gradients(e.adjoints[:1], seed)]]
+        plain = subject.gradients(adjoint, seed)
+        found = [[float(d.along(plain[d.parameter])[0]) for d in chosen]]
         for scale, factor in zip(SCALES, factors, strict=True):
             with world_of(subject, scale, factor):
-                gradients = subject.gradients(e.adjoints[:1], seed)
+                gradients = subject.gradients(adjoint, seed)
             tangents = [d.tangent * factor.get(d.parameter, 1.0) for d in chosen]
             found.append([float((gradients[d.parameter][0] * t).sum()) for d, t in zip(chosen, tangents, strict=True)])
         return np.array(found).T
 
-    e.compile(draw)
-    worlds = Sampler(draw, e.stream(NAME, 0))
-    worlds.try_out(1)
-    if not e.affords(worlds, NAME):
-        return []
-    worlds.try_out()
-    return [
-        compared_with_one(e, NAME, d.parameter, f"world × {scale:g}", worlds, ratios(size, i, 0, 1 + k))
-        for i, d in enumerate(chosen)
-        for k, scale in enumerate(SCALES)
-        if (size := size_of_sides(worlds, i, 0, 1 + k)) > 0.0
-    ]
+    return compared_sides(e, NAME, chosen, [f"world × {scale:g}" for scale in SCALES], draw)
 
 
 def scaling(scene: Scene, scale: float) -> dict[str, np.ndarray]:
