@@ -12,6 +12,7 @@ import warp as wp
 
 from warp_psdr.kernels.bsdf.model import GEOMETRY, GRADIENT, TEXTURE, Value
 from warp_psdr.kernels.generated import make_generated, make_struct
+from warp_psdr.kernels.invalid import vanishes
 from warp_psdr.kernels.math import where3
 
 #: Longest name of a struct.
@@ -91,10 +92,12 @@ class MaterialAlgebra(NamedTuple):
     Attributes:
         add: ``(a, b) -> material``.
         dot: ``(a, b) -> float32``: the sum of the products of all members.
+        vanishes: ``(a) -> bool``: whether all members are 0.
     """
 
     add: wp.Function
     dot: wp.Function
+    vanishes: wp.Function
 
 
 @functools.cache
@@ -108,9 +111,12 @@ def make_material_algebra(material: type) -> MaterialAlgebra:
         for name, var in members.items()
     ]
     dot = f"def dot_materials(a: material, b: material) -> wp.float32:\n    return {' + '.join(products)}\n"
+    zeros = [f"vanishes(a.{n})" if var.type is wp.vec3 else f"a.{n} == 0.0" for n, var in members.items()]
+    vanish = f"def material_vanishes(a: material) -> wp.bool:\n    return {' and '.join(zeros)}\n"
     return MaterialAlgebra(
         make_generated(add, material=material),
         make_generated(dot, material=material),
+        make_generated(vanish, material=material, vanishes=vanishes),
     )
 
 

@@ -20,13 +20,15 @@ from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.contact import make_contact_weights
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.factors.sinks import make_light_sink
-from warp_psdr.kernels.interior.factors.tangents import local_jvp, log_geometry_jvp, make_frame_jvp
+from warp_psdr.kernels.interior.factors.tangents import Moving, local_jvp, log_geometry_jvp, make_frame_jvp
 from warp_psdr.kernels.interior.factors.tilts import make_tilts, upright
 from warp_psdr.kernels.interior.factors.transmittance import make_transmittance_sink
 from warp_psdr.kernels.interior.factors.velocities import axis_vec3, make_material_jvp, make_pair, make_texture_jvp
+from warp_psdr.kernels.interior.forward_lanes import make_lane_forward_kernel
 from warp_psdr.kernels.interior.time_gated_forward import make_time_gated_forward_kernel
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.jobs import PixelJob, pixel_of
+from warp_psdr.kernels.lanes.path_lanes import side_by_side
 from warp_psdr.kernels.modules import wide_vectors
 from warp_psdr.kernels.primitive.dispatch import (
     flows_on,
@@ -41,17 +43,6 @@ from warp_psdr.kernels.sensor.camera import CameraSample, make_camera_ray, make_
 from warp_psdr.kernels.structs import Camera, Scene
 from warp_psdr.kernels.vertex import PathConfig, PathState, PathVertex
 from warp_psdr.kernels.vertex_motion import VertexTangent, normalize_jvp
-
-
-@wp.struct
-class Moving:
-    """A vertex's velocity and how its ray moves."""
-
-    vertex: VertexTangent
-    o: wp.vec3  # of the ray that found it
-    d: wp.vec3
-    by_ray: wp.bool
-    chi: wp.float32  # weight of its connection with the vertex before
 
 
 @functools.cache
@@ -347,6 +338,10 @@ def make_forward_kernel(config: PathConfig, wanted: GradientRequest):
 
     if config.pulse:
         return make_time_gated_forward_kernel(config, wanted, advance, first_moving)
+    if side_by_side(config):
+        together = make_lane_forward_kernel(config, wanted, advance, first_moving)
+        if together is not None:
+            return together
 
     @wp.kernel(module="unique", enable_backward=False, module_options=wide_vectors())
     def forward(

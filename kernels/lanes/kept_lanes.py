@@ -61,7 +61,7 @@ class KeptLanes(NamedTuple):
     Attributes:
         put: ``(rows, j, n, vertex)`` keeps the n-th vertex of the j-th path.
         keep_rest: ``(rows, n)`` keeps what there is beside all n-th vertices, which are where the paths stand now.
-        vertex: ``(rows, j, n) -> PathVertex``; None if none are kept.
+        vertex: ``(rows, j, n) -> PathVertex``, one of the last that were kept; None if none are.
         record: ``(rows, j, n) -> RecordedVertex``, of the nearest n that there is; None unless all of it is kept.
         light: ``(rows, j, n) -> KeptLight``; None unless it is kept alone.
         end: the first row that is free.
@@ -90,7 +90,7 @@ def make_kept_lanes(
     Args:
         width: number of lanes.
         first: the first row that they may take.
-        kept: number of vertices of a path.
+        kept: number of vertices of a path; of longer ones, the last so many.
         whole: whether all of ``RecordedVertex`` is kept.
         lit: whether vertices and their lights are; else vertices alone.
         on_places: where the paths stand.
@@ -107,13 +107,17 @@ def make_kept_lanes(
     kept_light_word = word_of(LitVertex, "light")
 
     @wp.func
+    def row_of(n: wp.int32) -> wp.int32:
+        return first + n % kept * size
+
+    @wp.func
     def put(rows: ROWS, j: wp.int32, n: wp.int32, vertex: PathVertex):
-        put_vertex(rows, first + n * size, j, vertex)
+        put_vertex(rows, row_of(n), j, vertex)
 
     @wp.func
     def keep_rest(rows: ROWS, n: wp.int32):
         # In loops of their own: stores in several places provably meet neither each other nor what is read.
-        to = first + n * size
+        to = row_of(n)
         j = wp.int32(0)
         while j < width:
             put_tri(rows, to + tri_word, j, on_places.triangles.get(rows, j))
@@ -145,16 +149,16 @@ def make_kept_lanes(
             found = KeptLight()
             found.radiance = lights.samples.get(rows, j).radiance
             found.crosses = looks.get(rows, j).crosses
-            put_light(rows, first + n * size + kept_light_word, j, found)
+            put_light(rows, row_of(n) + kept_light_word, j, found)
             j += 1
 
     @wp.func
     def light_at(rows: ROWS, j: wp.int32, n: wp.int32) -> KeptLight:
-        return get_light(rows, first + n * size + kept_light_word, j, KeptLight())
+        return get_light(rows, row_of(n) + kept_light_word, j, KeptLight())
 
     @wp.func
     def vertex_at(rows: ROWS, j: wp.int32, n: wp.int32) -> PathVertex:
-        return get_vertex(rows, first + n * size, j, PathVertex())
+        return get_vertex(rows, row_of(n), j, PathVertex())
 
     @wp.func
     def kept_at(rows: ROWS, j: wp.int32, n: wp.int32) -> RecordedVertex:

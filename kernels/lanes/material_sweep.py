@@ -15,7 +15,7 @@ from warp_psdr.kernels.bsdf.dispatch import is_diffuse
 from warp_psdr.kernels.constants import LOBE_NONE, LOBE_SMOOTH
 from warp_psdr.kernels.interaction import enter_frame, make_interaction
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
-from warp_psdr.kernels.interior.factors.sinks import make_material_sink
+from warp_psdr.kernels.interior.factors.sinks import make_material_sink_of_each
 from warp_psdr.kernels.invalid import count_invalid, finite
 from warp_psdr.kernels.lanes.lanes import ROWS, stack_rows, word_of
 from warp_psdr.kernels.lanes.model_lanes import make_adjoints_of_each
@@ -98,7 +98,7 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
     record = interaction.bsdf.record
     add_adjoints = make_adjoints_of_each(config.surfaces, config.lights, width, places, weights, adjoints)
     chosen = make_chosen(paths)
-    accumulate_material = make_material_sink(config.surfaces, wanted, "reverse")
+    accumulate_material = make_material_sink_of_each(config.surfaces, wanted)
     scatter_vjp = interaction.scatter_vjp
     has_delta = scatter_vjp is not None
 
@@ -220,7 +220,7 @@ def make_material_sweep(config: PathConfig, wanted: GradientRequest, paths: Lane
                     a_material = algebra.add(a_material, fa.material)
             uv = surfaces.get(rows, j).uv
             _adjoint, lost = accumulate_material(
-                scene, target, at.slots, vertex.face, vertex.u, vertex.v, uv, a_material, VertexAdjoint()
+                scene, target, at.slots, vertex.face, vertex.u, vertex.v, uv, a_material, VertexAdjoint(), at.model
             )
             path = swept.get(rows, vertex.lane)
             path.lost += lost

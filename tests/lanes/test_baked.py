@@ -55,10 +55,10 @@ def diffuse(color):
 
 
 def results(scene):
-    """Return an image and a gradient, flat."""
+    """Return an image, a gradient and a derivative image, flat."""
     names = [name for name in scene.parameters if name.endswith((".data", ".value", "color"))]
-    image, gradients = images_and_gradients(scene, 3, "sobol", 4, names)
-    return np.concatenate([image.ravel(), *(gradient.ravel() for gradient in gradients.values())])
+    image, gradients, derivative = images_and_gradients(scene, 3, "sobol", 4, names)
+    return np.concatenate([image.ravel(), derivative.ravel(), *(gradient.ravel() for gradient in gradients.values())])
 
 
 @pytest.mark.parametrize("change", [assign, update, write_in_place, write_on_tape, restore, step])

@@ -10,7 +10,7 @@ import warp as wp
 import warp_psdr as psdr
 from tests.gradients import scenes
 from warp_psdr.kernels import primal, splat
-from warp_psdr.kernels.interior import replay
+from warp_psdr.kernels.interior import forward, replay
 from warp_psdr.kernels.lanes.lanes import QUEUE_ROOM, ROOM, make_number, make_record, stack_rows, words
 from warp_psdr.kernels.lanes.path_lanes import LaneSample, make_lane_paths, side_by_side
 from warp_psdr.kernels.lanes.waiting_lanes import Staying, make_queue
@@ -24,6 +24,7 @@ KERNELS = (
     primal.make_primal_kernel,
     splat.make_splat_kernel,
     replay.make_replay_kernel,
+    forward.make_forward_kernel,
 )
 #: What float32 sums in another order differ by, relative to the largest entry of a gradient.
 SUMMED = 1.0e-5
@@ -41,7 +42,7 @@ def alone(monkeypatch):
     """Return a function after whose call every path is traced by itself."""
 
     def switch():
-        for module in (primal, replay):
+        for module in (primal, replay, forward):
             monkeypatch.setattr(module, "side_by_side", lambda config: False)
         forget_kernels()
 
@@ -209,7 +210,7 @@ QUICK = ("sky and two lamps", "values", 3)
 
 
 def images_and_gradients(scene, spp, sampler, depth, names):
-    """Return the image, and the gradient of a weighted image by the parameters."""
+    """Return the image, the gradient of a weighted image by the parameters, and a derivative image along them all."""
     integrator = psdr.PathIntegrator(max_depth=depth, rr_depth=3, sampler=sampler, boundary=None)
     image = psdr.render(scene, integrator=integrator, spp=spp, seed=5).numpy()
     params = psdr.traverse(scene)
@@ -218,7 +219,9 @@ def images_and_gradients(scene, spp, sampler, depth, names):
     adjoint[::3, 1::2] = 0.0  # pixels without a weight are left out
     psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=spp, seed=6)
     gradients = {name: params[name].grad.numpy().copy() for name in names}
-    return image, gradients
+    tangents = {name: np.cos(np.arange(g.size, dtype=np.float32)).reshape(g.shape) for name, g in gradients.items()}
+    derivative = psdr.render_forward(scene, params, tangents, integrator=integrator, spp=spp, seed=6).numpy()
+    return image, gradients, derivative
 
 
 def cases():
@@ -235,11 +238,13 @@ def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
     scene = psdr.load_dict(SCENES[name]())
     assert side_by_side(psdr.plan(scene).config)
     names = [name for name in scene.parameters if what == "all" or name.endswith((".data", ".value", "color"))]
-    image, gradients = images_and_gradients(scene, spp, sampler, 4, names)
+    image, gradients, derivative = images_and_gradients(scene, spp, sampler, 4, names)
     alone()
-    single, singles = images_and_gradients(scene, spp, sampler, 4, names)
+    single, singles, alone_derivative = images_and_gradients(scene, spp, sampler, 4, names)
     assert image.mean() > 1.0e-3
     np.testing.assert_array_equal(image, single)
+    assert derivative.any()
+    np.testing.assert_allclose(derivative, alone_derivative, rtol=0.0, atol=SUMMED * np.abs(alone_derivative).max())
     largest = max(np.abs(single).max() for single in singles.values())
     for key, gradient in gradients.items():
         assert np.isfinite(gradient).all()
@@ -252,8 +257,8 @@ def test_paths_have_the_bits_of_single_ones(name, spp, sampler, what, alone):
 
 
 @pytest.mark.slow
-def test_numbers_of_materials_are_swept_side_by_side(alone):
-    """Adjoints of all models over all lanes, those of delta lobes lane by lane, against paths that are swept alone."""
+def test_numbers_of_materials_are_differentiated_side_by_side(alone):
+    """Adjoints of all models over all lanes, those of delta lobes lane by lane, against single paths; in both modes."""
     base = sky_and_lamps()
     number = {"metallic": 0.4, "roughness": 0.3, "clearcoat": 0.7, "anisotropic": 0.5, "sheen": 0.2}
     ball = {"type": "sphere", "center": [0.0, 0.0, 0.2], "radius": 0.2, "resolution": 8, "bsdf": {"type": "plastic"}}
@@ -283,7 +288,10 @@ def test_numbers_of_materials_are_swept_side_by_side(alone):
         params.zero_grad()
         psdr.render_backward(scene, params, adjoint, integrator=integrator, spp=5, seed=6)
         found.append({name: params[name].grad.numpy().copy() for name in names})
-    for name in names:
+        for name in names:
+            image = psdr.render_forward(scene, params, {name: 1.0}, integrator=integrator, spp=5, seed=6)
+            found[-1][f"along {name}"] = image.numpy()
+    for name in found[0]:
         together, single = found[0][name], found[1][name]
         assert np.abs(single).max() > 0.0, name
         np.testing.assert_allclose(together, single, rtol=0.0, atol=SUMMED * np.abs(single).max())

@@ -24,6 +24,10 @@ SCALAR = {
     "make_passage.passage": "a shadow ray passes surfaces",
     "make_chosen.chosen": "a path meets what matters, or not",
     "make_sweep_of_each.sweep_all": "paths are swept one by one",
+    "make_forward_of_each.begin": "what travels with a path is a record of its own",
+    "make_forward_of_each.differentiate": "paths are differentiated one by one",
+    "make_transmittance_sink.accumulate_transmittance": "surfaces are crossed one by one",
+    "make_material_forward.move": "a vertex looks its own values up",
 }
 #: Not loops over lanes: queries in C++, and what calls the kernels.
 OTHERS = re.compile(r".*(_wide\d+$|_cpu_)")
@@ -63,7 +67,8 @@ ends = ("vertex_positions",) if what == "motion" else ()
 names = [n for n in scene.parameters if n.endswith(ends) or (not ends and ".bsdf." in n and not n.endswith("to_uv"))]
 integrator = psdr.PathIntegrator(max_depth=6, sampler="sobol", boundary=None, interior=psdr.interior.Replay())
 plan = psdr.plan(scene, names=names, integrator=integrator)
-kernel = make_primal_kernel(plan.config) if what == "image" else passes.camera_gradient_kernels(plan, "reverse")[0]
+role = "forward" if what == "forward" else "reverse"
+kernel = make_primal_kernel(plan.config) if what == "image" else passes.camera_gradient_kernels(plan, role)[0]
 wp.load_module(kernel.module, device="cpu")
 """
 
@@ -91,7 +96,11 @@ def remarks(case: str, what: str, folder: Path) -> tuple[set[str], set[str]]:
 @pytest.mark.skipif(acceleration.host_width() < 16, reason="narrow vectors: the compiler may find SIMD not worth it")
 @pytest.mark.parametrize(
     ("case", "what"),
-    [*((case, "image") for case in CASES), ("Cornell box", "motion"), *((c, "gradient") for c in CASES[1:])],
+    [
+        *((case, "image") for case in CASES),
+        ("Cornell box", "motion"),
+        *((case, what) for case in CASES[1:] for what in ("gradient", "forward")),
+    ],
 )
 def test_no_other_loop_is_refused(case: str, what: str, tmp_path: Path) -> None:
     simd, refused = remarks(case, what, tmp_path)

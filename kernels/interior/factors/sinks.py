@@ -1,15 +1,16 @@
 """The sinks for the adjoints of a vertex's factors: material values, and the light that next-event estimation found."""
 
 import functools
+from dataclasses import replace
 
 import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
-from warp_psdr.kernels.bsdf.dispatch import make_bsdf
+from warp_psdr.kernels.bsdf.dispatch import declaration_of, make_bsdf
 from warp_psdr.kernels.constants import EMITTER_AREA, EMITTER_CONSTANT, EMITTER_ENVMAP
 from warp_psdr.kernels.emitter.area import make_area, make_light_uv
 from warp_psdr.kernels.emitter.dispatch import make_lights
-from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.generated import make_generated, make_switch
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
 from warp_psdr.kernels.interior.factors.pullback import connection_vjp
 from warp_psdr.kernels.material import slot_at
@@ -24,6 +25,32 @@ from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 @functools.cache
 def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str):
     """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
+    return _make_material_sink(surfaces, wanted, role)
+
+
+@functools.cache
+def make_material_sink_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
+    """Return the same in reverse mode with a model's number for a last argument, which reads that model's values alone.
+
+    It serves vertices that are taken one by one, of which each has a few of a scene's values.
+    """
+    more = ", model: wp.int32"
+    sinks = {k: _make_material_sink(own, wanted, "reverse", more) for k, own in enumerate(surfaces_of_each(surfaces))}
+    return make_switch("accumulate_material_of_each", "model", sinks, anchored=True)
+
+
+def surfaces_of_each(surfaces: SurfaceConfig) -> list[SurfaceConfig]:
+    """Return for each model the same surfaces, of whose material values those of other models have no textures."""
+    found = []
+    for key in surfaces.bsdfs:
+        names = {value.name for value in declaration_of(key)[0].values}
+        own = tuple(slot if slot.name in names else slot._replace(kinds=()) for slot in surfaces.material)
+        found.append(replace(surfaces, material=own))
+    return found
+
+
+def _make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str, more: str = ""):
+    """Make the function; ``more``: arguments beside."""
     scope = {
         "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
@@ -34,7 +61,7 @@ def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: s
     lines = [
         "def accumulate_material(",
         "    scene: Scene, target: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
-        "    v: wp.float32, uv: wp.vec2, m: record, adjoint: VertexAdjoint,",
+        f"    v: wp.float32, uv: wp.vec2, m: record, adjoint: VertexAdjoint{more},",
         ") -> tuple[VertexAdjoint, wp.float32]:",
         "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
         "    a = adjoint",

@@ -1,4 +1,4 @@
-"""Velocities of shading frames and geometric factors: forward mode's counterpart of ``pullback.py``.
+"""Velocities of shading frames, rays and geometric factors: forward mode's counterpart of ``pullback.py``.
 
 A dot denotes the derivative along the tangent. Those of vertices are in ``kernels/vertex_motion.py``.
 """
@@ -18,6 +18,17 @@ class FrameTangent:
     n: wp.vec3
     s: wp.vec3
     t: wp.vec3
+
+
+@wp.struct
+class Moving:
+    """A vertex's velocity and how its ray moves."""
+
+    vertex: VertexTangent
+    o: wp.vec3  # of the ray that found it
+    d: wp.vec3
+    by_ray: wp.bool
+    chi: wp.float32  # weight of its connection with the vertex before
 
 
 @wp.func

@@ -10,8 +10,9 @@ import warp as wp
 
 from warp_psdr.kernels.autodiff import anchor
 from warp_psdr.kernels.bsdf.dispatch import make_bsdf
-from warp_psdr.kernels.generated import make_generated
+from warp_psdr.kernels.generated import make_generated, make_switch
 from warp_psdr.kernels.interior.factors.gradient_request import GradientRequest
+from warp_psdr.kernels.interior.factors.sinks import surfaces_of_each
 from warp_psdr.kernels.material import slot_at
 from warp_psdr.kernels.structs import Scene
 from warp_psdr.kernels.texture.gradient import is_placed, make_reader_sink
@@ -89,6 +90,19 @@ def make_texture_jvp(
 @functools.cache
 def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest):
     """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values."""
+    return _make_material_jvp(surfaces, wanted)
+
+
+@functools.cache
+def make_material_jvp_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
+    """Return the same with a model's number for a last argument; as ``make_material_sink_of_each``."""
+    more = ", model: wp.int32"
+    velocities = {k: _make_material_jvp(own, wanted, more) for k, own in enumerate(surfaces_of_each(surfaces))}
+    return make_switch("material_jvp_of_each", "model", velocities, anchored=True)
+
+
+def _make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest, more: str = ""):
+    """Make the function; ``more``: arguments beside."""
     scope = {
         "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
@@ -99,7 +113,7 @@ def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest):
     lines = [
         "def material_jvp(",
         "    scene: Scene, tangents: wp.array(dtype=wp.float32), slots: wp.int32, face: wp.int32, u: wp.float32,",
-        "    v: wp.float32, uv: wp.vec2, vertex: VertexTangent,",
+        f"    v: wp.float32, uv: wp.vec2, vertex: VertexTangent{more},",
         ") -> record:",
         "    _anchor = wp.grad(anchor)(0.0)  # see kernels/autodiff.py",
         "    m = record()",
