@@ -59,7 +59,7 @@ def _speed(what: str, label: str):
 
 
 def _material(kind: str):
-    """Return a reader of images, or of gradients."""
+    """Return a reader of images, of gradients, or of derivative images."""
 
     def read(lines: list[dict]) -> list[tuple[Row, dict]]:
         columns = f"{kind}, seconds", f"{kind}, × Mitsuba's speed"
@@ -140,6 +140,7 @@ QUESTIONS: dict[str, list[Source]] = {
         Source("materials", "Materials", _material("gradient")),
         Source("media", "Media, 128", _media("gradient")),
     ],
+    "forward": [Source("materials", "Materials", _material("derivative image"))],
     "moving": [
         Source("global", "Derivative images", _global),
         Source("global", "Reverse mode", _reverse),

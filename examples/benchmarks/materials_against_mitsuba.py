@@ -40,6 +40,7 @@ class Renderers:
         shape = (resolution, resolution)
         self._adjoint = wp.full(shape, wp.vec3(1.0, 1.0, 1.0), dtype=wp.vec3, device="cpu")
         self._their_adjoint = dr.full(mi.TensorXf, 1.0, (*shape, 3))
+        self._tangents = dict.fromkeys(self.names, 1.0)
 
     def image(self, seed: int) -> np.ndarray:
         """Render."""
@@ -66,6 +67,24 @@ class Renderers:
         params.update()
         self._prb.render_backward(self._theirs, params, self._their_adjoint, seed=seed, spp=SPP)
         dr.eval(*(dr.grad(params[name]) for name in self.names))
+        dr.sync_thread()
+
+    def forward(self, seed: int) -> None:
+        """Differentiate in forward mode, along a direction that raises all numbers."""
+        psdr.render_forward(self._ours, self._params, self._tangents, seed=seed, **self._options)
+
+    def their_forward(self, seed: int) -> None:
+        """The same with Mitsuba."""
+        dr, params = self._dr, self._listed
+        for name in self.names:
+            dr.disable_grad(params[name])
+            dr.enable_grad(params[name])
+            dr.set_grad(params[name], 1.0)
+        params.update()
+        dr.enqueue(dr.ADMode.Forward, *(params[name] for name in self.names))
+        dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges | dr.ADFlag.ClearInterior)
+        derivative = self._prb.render_forward(self._theirs, params, seed=seed, spp=SPP)
+        dr.eval(derivative)
         dr.sync_thread()
 
 
@@ -101,6 +120,8 @@ def main() -> None:
                     "path": both.their_image,
                     "gradient": both.gradient,
                     "prb": both.their_gradient,
+                    "forward": both.forward,
+                    "prb forward": both.their_forward,
                 },
                 repeat,
             )
@@ -114,6 +135,9 @@ def main() -> None:
                     "gradient [s]": median(times, "gradient"),
                     "gradient": ratio(times, "prb", "gradient"),
                     "gradient, CPU": ratio(times, "prb", "gradient", "cpu"),
+                    "forward [s]": median(times, "forward"),
+                    "forward": ratio(times, "prb forward", "forward"),
+                    "forward, CPU": ratio(times, "prb forward", "forward", "cpu"),
                 }
             )
             report.table(f"{case}: Mitsuba's time over ours", speed[-1:])

@@ -1,6 +1,6 @@
-"""Where the processor time of an image or a gradient goes, by phase, by function and by kind of instruction.
+"""Where the processor time of images and of gradients goes, by phase, by function and by kind of instruction.
 
-    python examples/benchmarks/where.py [CASE ...] [--what image gradient] [--functions 25] [--output results.jsonl]
+    python examples/benchmarks/where.py [CASE ...] [--what image gradient forward] [--functions 25] [--output FILE]
 
 ``perf`` takes samples of one thread, and llvm-symbolizer tells the functions that were inlined there; both must be
 installed (Debian: linux-perf, llvm, binutils). Kernels are compiled once more, with line tables, in a cache of their
@@ -29,7 +29,7 @@ from material_scenes import MATERIALS, write_maps
 from scenes import CASES, write_data
 
 ALL = {**MATERIALS, **CASES}
-WHATS = ("image", "gradient")
+WHATS = ("image", "gradient", "forward")
 #: Samples of the processor a second; samples a pixel; processor seconds that are looked at.
 RATE, SPP, SECONDS = 1999, 16, 10.0
 #: Runs before: the second gradient by the same numbers compares methods (``interior="auto"``).
@@ -134,13 +134,17 @@ def shares(samples: list[Sample], total: int) -> dict:
 
 
 def runner(case: str, what: str, folder: Path):
-    """Return what renders an image, or the gradient by all numbers of all materials, for a seed."""
+    """Return what renders an image, or differentiates by all numbers of all materials in either mode, for a seed."""
     scene = psdr.load_file(ALL[case].write(folder, case), resolution=256)
     options = {"integrator": psdr.PathIntegrator(max_depth=ALL[case].max_depth, sampler="sobol"), "spp": SPP}
     if what == "image":
         return lambda seed: psdr.render(scene, seed=seed, **options)
     params = psdr.traverse(scene)
-    params.requires_grad(*[name for name in scene.parameters if ".bsdf." in name and not name.endswith("to_uv")])
+    names = [name for name in scene.parameters if ".bsdf." in name and not name.endswith("to_uv")]
+    if what == "forward":
+        tangents = dict.fromkeys(names, 1.0)
+        return lambda seed: psdr.render_forward(scene, params, tangents, seed=seed, **options)
+    params.requires_grad(*names)
     adjoint = np.ones((256, 256, 3), np.float32)
 
     def gradient(seed: int) -> None:
