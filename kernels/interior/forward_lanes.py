@@ -1,8 +1,9 @@
 """Interior term in forward mode, of paths that are traced side by side: the factors are those of ``forward.py``.
 
-A derivative needs a vertex and the one behind it, so two vertices of a path are kept at a time, whatever its length.
-Each step of the paths is followed by the derivative at the vertices before, path by path. Derivatives by numbers of
-materials alone need no vertex behind, and are computed for all lanes in step (``lanes/material_forward.py``).
+A derivative needs a vertex and the next one of its path, so two vertices of a path are kept at a time, whatever its
+length. Each step of the paths is followed by the derivative at their previous vertices, path by path. Derivatives by
+numbers of materials alone need no next vertex. Where ``sweeps_materials`` allows it, they are computed for all lanes in
+step (``lanes/material_forward.py``).
 
 Derivation: ``docs/theory/interior.md#forward-mode``.
 """

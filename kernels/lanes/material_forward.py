@@ -5,8 +5,9 @@ With A_n' and S, the derivative so far, in the rows of a path, a vertex adds
     S       += A_n' (E_n + D_n) + A_n D_n',        A_{n+1}' = A_n' beta_n + A_n beta_n'.
 
 The derivative of a scattering value along the tangent is found, channel by channel, from the adjoints that reverse mode
-finds (``material_sweep.py``), in loops over all lanes. Models on which no path has a tangent are left out. Directions
-and positions rest, so paths still stand where they were traced to.
+finds (``material_sweep.py``), in loops over all lanes. A model is skipped if no lane that stands on it has a tangent
+other than 0. Directions and positions do not move: no next vertex is needed, and the places of a step are used before
+the next step overwrites them.
 
 Derivation: ``docs/theory/interior.md#forward-mode``.
 """
