@@ -24,6 +24,7 @@ CPU_ONLY = {
     "bvh.build.make_build": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
     "bvh.refit.make_refit": "the wide BVH is a CPU structure; wp.Mesh traces on CUDA",
     "interior.replay._make_lane_kernel": "paths side by side are for SIMD; make_replay_kernel has one a thread on CUDA",
+    "interior.forward_lanes.make_lane_forward_kernel": "the same, of make_forward_kernel",
 }
 
 
