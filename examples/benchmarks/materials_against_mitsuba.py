@@ -1,11 +1,12 @@
-"""Materials against Mitsuba 3: images by ``path``, and gradients by all numbers of all materials by ``prb``.
+"""Materials against Mitsuba 3: images by ``path``, and derivatives by all numbers of all materials by ``prb``.
 
     python examples/benchmarks/materials_against_mitsuba.py [--quick] [--cases NAME ...] [--output results.jsonl]
 
 Both renderers load the same files and take turns; samplers are each renderer's default. "image" and "gradient" are
 Mitsuba's time over ours at equal samples, "CPU" the same of processor time, which other users of a machine disturb
 less. The gradient is that of the image's sum; Mitsuba's pass is ``integrator.render_backward`` alone, without the
-primal rendering before it. What it lists under another name, or not at all, is not requested of either.
+primal rendering before it. "forward" is a derivative image along a direction that raises all numbers. What Mitsuba
+lists under another name, or not at all, is not requested of either.
 """
 
 import tempfile
@@ -58,12 +59,15 @@ class Renderers:
         self._params.zero_grad()
         psdr.render_backward(self._ours, self._params, self._adjoint, seed=seed, **self._options)
 
+    def _forget_derivatives(self) -> None:
+        for name in self.names:
+            self._dr.disable_grad(self._listed[name])
+            self._dr.enable_grad(self._listed[name])
+
     def their_gradient(self, seed: int) -> None:
         """Differentiate with Mitsuba."""
         dr, params = self._dr, self._listed
-        for name in self.names:
-            dr.disable_grad(params[name])
-            dr.enable_grad(params[name])
+        self._forget_derivatives()
         params.update()
         self._prb.render_backward(self._theirs, params, self._their_adjoint, seed=seed, spp=SPP)
         dr.eval(*(dr.grad(params[name]) for name in self.names))
@@ -76,9 +80,8 @@ class Renderers:
     def their_forward(self, seed: int) -> None:
         """The same with Mitsuba."""
         dr, params = self._dr, self._listed
+        self._forget_derivatives()
         for name in self.names:
-            dr.disable_grad(params[name])
-            dr.enable_grad(params[name])
             dr.set_grad(params[name], 1.0)
         params.update()
         dr.enqueue(dr.ADMode.Forward, *(params[name] for name in self.names))

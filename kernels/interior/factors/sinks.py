@@ -23,34 +23,11 @@ from warp_psdr.kernels.vertex import LightConfig, PathVertex, SurfaceConfig
 
 
 @functools.cache
-def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str):
-    """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``."""
-    return _make_material_sink(surfaces, wanted, role)
+def make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str, more: str = ""):
+    """Return ``accumulate_material(scene, target, slots, face, u, v, uv, m, adjoint) -> (VertexAdjoint, float)``.
 
-
-@functools.cache
-def make_material_sink_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
-    """Return the same in reverse mode with a model's number for a last argument, which reads that model's values alone.
-
-    It serves vertices that are taken one by one, of which each has a few of a scene's values.
+    ``more``: further arguments, which it leaves alone.
     """
-    more = ", model: wp.int32"
-    sinks = {k: _make_material_sink(own, wanted, "reverse", more) for k, own in enumerate(surfaces_of_each(surfaces))}
-    return make_switch("accumulate_material_of_each", "model", sinks, anchored=True)
-
-
-def surfaces_of_each(surfaces: SurfaceConfig) -> list[SurfaceConfig]:
-    """Return for each model the same surfaces, of whose material values those of other models have no textures."""
-    found = []
-    for key in surfaces.bsdfs:
-        names = {value.name for value in declaration_of(key)[0].values}
-        own = tuple(slot if slot.name in names else slot._replace(kinds=()) for slot in surfaces.material)
-        found.append(replace(surfaces, material=own))
-    return found
-
-
-def _make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: str, more: str = ""):
-    """Make the function; ``more``: arguments beside."""
     scope = {
         "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
@@ -87,6 +64,27 @@ def _make_material_sink(surfaces: SurfaceConfig, wanted: GradientRequest, role: 
                 lines.append(f"        a.x += t{k}.x")
     lines.append("    return a, total\n")
     return make_generated("\n".join(lines), **scope)
+
+
+@functools.cache
+def make_material_sink_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
+    """Return ``make_material_sink``'s in reverse mode, with a model's number behind, whose values alone it looks at.
+
+    It serves vertices that are taken one by one, of which each has a few of a scene's values.
+    """
+    more = ", model: wp.int32"
+    sinks = {k: make_material_sink(own, wanted, "reverse", more) for k, own in enumerate(surfaces_of_each(surfaces))}
+    return make_switch("accumulate_material_of_each", "model", sinks, anchored=True)
+
+
+def surfaces_of_each(surfaces: SurfaceConfig) -> list[SurfaceConfig]:
+    """Return the same surfaces for each model, without textures of values that the model does not have."""
+    found = []
+    for key in surfaces.bsdfs:
+        names = {value.name for value in declaration_of(key)[0].values}
+        own = tuple(slot if slot.name in names else slot._replace(kinds=()) for slot in surfaces.material)
+        found.append(replace(surfaces, material=own))
+    return found
 
 
 @functools.cache

@@ -88,21 +88,11 @@ def make_texture_jvp(
 
 
 @functools.cache
-def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest):
-    """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values."""
-    return _make_material_jvp(surfaces, wanted)
+def make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest, more: str = ""):
+    """Return ``material_jvp(scene, tangents, slots, face, u, v, uv, vertex) -> record``: velocities of its values.
 
-
-@functools.cache
-def make_material_jvp_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
-    """Return the same with a model's number for a last argument; as ``make_material_sink_of_each``."""
-    more = ", model: wp.int32"
-    velocities = {k: _make_material_jvp(own, wanted, more) for k, own in enumerate(surfaces_of_each(surfaces))}
-    return make_switch("material_jvp_of_each", "model", velocities, anchored=True)
-
-
-def _make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest, more: str = ""):
-    """Make the function; ``more``: arguments beside."""
+    ``more``: further arguments, which it leaves alone.
+    """
     scope = {
         "record": make_bsdf(surfaces.bsdfs).record,
         "Scene": Scene,
@@ -131,3 +121,11 @@ def _make_material_jvp(surfaces: SurfaceConfig, wanted: GradientRequest, more: s
             ]
     lines.append("    return m\n")
     return make_generated("\n".join(lines), **scope)
+
+
+@functools.cache
+def make_material_jvp_of_each(surfaces: SurfaceConfig, wanted: GradientRequest):
+    """Return ``make_material_jvp``'s with a model's number behind; see ``make_material_sink_of_each``."""
+    more = ", model: wp.int32"
+    velocities = {k: make_material_jvp(own, wanted, more) for k, own in enumerate(surfaces_of_each(surfaces))}
+    return make_switch("material_jvp_of_each", "model", velocities, anchored=True)
